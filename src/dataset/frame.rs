@@ -1,0 +1,200 @@
+//! One stereo pair with its labels, and what stages one and two take from it.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use image::RgbImage;
+
+use super::{BoxKind, FrameRow, Label, stamp_name};
+use crate::error::{Error, Result};
+use crate::geometry::{Camera, PixelBox, StereoRig};
+use crate::imaging;
+
+/// One of the two images of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Side {
+    /// The left camera's.
+    Left,
+    /// The right camera's.
+    Right,
+}
+
+impl Side {
+    /// Left, then right.
+    pub const ALL: [Self; 2] = [Self::Left, Self::Right];
+
+    /// How file names of this side begin, without the underscore.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Left => "left",
+            Self::Right => "right",
+        }
+    }
+}
+
+impl fmt::Display for Side {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.word())
+    }
+}
+
+/// One image of a frame with all its labels, of both kinds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameImage {
+    /// The image file.
+    pub path: PathBuf,
+    /// The labels in the order of the file; boxes may reach outside the image.
+    pub labels: Vec<Label>,
+}
+
+impl FrameImage {
+    /// The labels of one kind.
+    pub fn labels_of(&self, kind: BoxKind) -> impl Iterator<Item = &Label> {
+        self.labels.iter().filter(move |label| label.kind == kind)
+    }
+
+    /// Class and box of each label of one kind, clipped to the image: what a detector is trained
+    /// to find.
+    pub fn boxes(&self, kind: BoxKind, camera: &Camera) -> Vec<(u32, PixelBox)> {
+        let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+        self.labels_of(kind)
+            .map(|label| (label.class, label.box_pixel.clipped(width, height)))
+            .filter(|(_, area)| area.is_valid())
+            .collect()
+    }
+
+    /// Decodes the image.
+    ///
+    /// # Errors
+    /// Those of [`imaging::load_rgb`], and a size that is not the camera's.
+    pub fn load(&self, camera: &Camera) -> Result<RgbImage> {
+        let image = imaging::load_rgb(&self.path)?;
+        if image.dimensions() == (camera.width, camera.height) {
+            return Ok(image);
+        }
+        Err(Error::image(
+            &self.path,
+            format!(
+                "has {}x{} pixels but dataset.toml says {}x{}",
+                image.width(),
+                image.height(),
+                camera.width,
+                camera.height
+            ),
+            "correct the rig in dataset.toml or replace the image",
+        ))
+    }
+}
+
+/// A vehicle that is labelled in both images.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StereoLabel {
+    /// The vehicle's number in its frame.
+    pub id: u32,
+    /// Its class.
+    pub class: u32,
+    /// Its label in the left image.
+    pub left: Label,
+    /// Its label in the right image.
+    pub right: Label,
+    /// Rig midpoint to the vehicle's box centre, metres.
+    pub distance_m: f64,
+}
+
+/// One stereo pair: its row of `frames.csv`, its images and their labels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// The frame's row of `frames.csv`.
+    pub row: FrameRow,
+    /// The left image.
+    pub left: FrameImage,
+    /// The right image.
+    pub right: FrameImage,
+}
+
+impl Frame {
+    /// The frame's name: its stamp with at least five digits.
+    pub fn name(&self) -> String {
+        stamp_name(self.row.stamp)
+    }
+
+    /// One of the two images.
+    pub fn side(&self, side: Side) -> &FrameImage {
+        match side {
+            Side::Left => &self.left,
+            Side::Right => &self.right,
+        }
+    }
+
+    /// The vehicles that have a label of this kind in both images, by id.
+    ///
+    /// A vehicle that only one camera sees is no stereo pair and does not appear.
+    pub fn vehicles(&self, kind: BoxKind) -> Vec<StereoLabel> {
+        let mut vehicles: Vec<_> = self
+            .left
+            .labels_of(kind)
+            .filter_map(|left| {
+                let right = self
+                    .right
+                    .labels_of(kind)
+                    .find(|right| right.id == left.id)?;
+                Some(StereoLabel {
+                    id: left.id,
+                    class: left.class,
+                    left: left.clone(),
+                    right: right.clone(),
+                    distance_m: left.distance_m,
+                })
+            })
+            .collect();
+        vehicles.sort_by_key(|vehicle| vehicle.id);
+        vehicles
+    }
+
+    /// Decodes both images, left first.
+    ///
+    /// # Errors
+    /// Those of [`imaging::load_pair`], and a size that is not the rig's.
+    pub fn load(&self, rig: &StereoRig) -> Result<[RgbImage; 2]> {
+        Ok([self.left.load(&rig.left)?, self.right.load(&rig.right)?])
+    }
+}
+
+/// Something in a dataset that had to be left out, and why.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Problem {
+    /// What it is about: "frame 00042", "frames.csv line 7".
+    pub subject: String,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
+impl Problem {
+    /// A problem of a frame.
+    pub fn of_frame(stamp: u64, reason: impl Into<String>) -> Self {
+        Self {
+            subject: format!("frame {}", stamp_name(stamp)),
+            reason: reason.into(),
+        }
+    }
+
+    /// The first few problems in one line, for an error that has to explain itself.
+    pub(super) fn summary(problems: &[Self]) -> String {
+        const SHOWN: usize = 3;
+        let mut parts: Vec<_> = problems
+            .iter()
+            .take(SHOWN)
+            .map(ToString::to_string)
+            .collect();
+        if problems.len() > SHOWN {
+            parts.push(format!("and {} more", problems.len() - SHOWN));
+        }
+        parts.join("; ")
+    }
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.subject, self.reason)
+    }
+}

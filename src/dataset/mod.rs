@@ -1,0 +1,30 @@
+//! Datasets on disk: their format, how they are read, and what stage two is trained on.
+//!
+//! [`StereoDataset`] reads a folder and says what it had to leave out. [`prepare()`] turns it into
+//! composites, which [`CompositeSet`] reads. [`DetectionSource`] and [`RangingSource`] hand either
+//! to Burn's data loaders. Nothing here knows networks or tensors.
+
+mod composite;
+mod composite_set;
+#[cfg(test)]
+mod fixture;
+mod format;
+mod frame;
+mod lines;
+mod prepare;
+mod reader;
+mod resplit;
+mod source;
+
+pub use composite::{CompositeSize, composite, composite_into_planes, geometry_vector};
+pub use composite_set::{CompositeItem, CompositeSet, CompositeStatistics, SplitCounts};
+pub use format::{BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, Split, View};
+pub use frame::{Frame, FrameImage, Problem, Side, StereoLabel};
+pub use lines::{
+    FRAMES_HEADER, LABEL_HEADER, frames_csv_text, label_file_text, read_frames_csv, stamp_name,
+    write_frames_csv,
+};
+pub use prepare::{PrepareReport, is_prepared, prepare};
+pub use reader::StereoDataset;
+pub use resplit::SplitBy;
+pub use source::{DetectionItem, DetectionSource, RangingItem, RangingSource};

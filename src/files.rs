@@ -1,0 +1,121 @@
+//! Files written whole or not at all, and errors that name the file.
+
+use std::fs;
+use std::io::Write as _;
+use std::path::Path;
+
+use crate::error::{Error, Result};
+
+/// How the names of half-written files begin: what a killed program leaves behind can be told
+/// from what a user put there.
+pub const TEMPORARY_PREFIX: &str = ".twinsight-";
+
+/// Writes a file so that at every moment its path holds either the old content or the new one.
+///
+/// The bytes go to a temporary file in the same folder, which is then renamed: another process, or
+/// this one after a crash, never meets half a file. It does not wait for the disk, so a power cut
+/// within seconds may still lose the newest content.
+///
+/// # Errors
+/// [`Error::Io`] naming `path` when the folder is missing, read-only or full.
+pub fn write_atomically(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
+    let path = path.as_ref();
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(TEMPORARY_PREFIX);
+    // Temporary files are private by default; what is written here is an ordinary file, readable
+    // by whomever the user's umask lets read it.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut file = builder
+        .tempfile_in(folder)
+        .map_err(Error::io("write", path))?;
+    file.write_all(bytes).map_err(Error::io("write", path))?;
+    file.persist(path)
+        .map_err(|failure| Error::io("write", path)(failure.error))?;
+    Ok(())
+}
+
+/// Creates a folder and its parents; an existing folder is fine.
+///
+/// # Errors
+/// [`Error::Io`] naming the folder.
+pub fn create_folder(path: impl AsRef<Path>) -> Result<()> {
+    fs::create_dir_all(&path).map_err(Error::io("create folder", &path))
+}
+
+/// Reads a UTF-8 text file, without the byte order mark that some editors put in front.
+///
+/// # Errors
+/// [`Error::Io`] naming the file when it cannot be read or is not UTF-8.
+pub fn read_text(path: impl AsRef<Path>) -> Result<String> {
+    let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+    Ok(match text.strip_prefix('\u{feff}') {
+        Some(rest) => rest.to_owned(),
+        None => text,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_written_file_replaces_the_old_one_and_leaves_no_other_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("weights.bin");
+        write_atomically(&path, b"old").unwrap();
+        write_atomically(&path, b"new and longer").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new and longer");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_missing_folder_is_an_error_that_names_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("nowhere").join("a.txt");
+        let message = write_atomically(&path, b"x").unwrap_err().to_string();
+        assert!(
+            message.contains("cannot write") && message.contains("a.txt"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn a_failed_write_leaves_the_target_and_no_temporary_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("occupied");
+        fs::create_dir(&path).unwrap();
+        fs::write(path.join("inside"), "kept").unwrap();
+        assert!(write_atomically(&path, b"x").is_err());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        assert_eq!(fs::read_to_string(path.join("inside")).unwrap(), "kept");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_written_file_has_the_permissions_of_an_ordinary_file() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("ordinary"), "").unwrap();
+        write_atomically(folder.path().join("ours"), b"").unwrap();
+        let mode = |name: &str| {
+            fs::metadata(folder.path().join(name))
+                .unwrap()
+                .permissions()
+                .mode()
+        };
+        assert_eq!(mode("ours"), mode("ordinary"));
+    }
+
+    #[test]
+    fn text_is_read_without_a_byte_order_mark() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.csv");
+        fs::write(&path, "\u{feff}stamp").unwrap();
+        assert_eq!(read_text(&path).unwrap(), "stamp");
+    }
+}

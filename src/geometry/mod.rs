@@ -1,0 +1,15 @@
+//! Pure arithmetic of cameras, stereo rigs and boxes. Knows neither files nor tensors.
+//!
+//! Spaces: `camera` is metres with x right, y down, z forward and the origin in one camera;
+//! `rig` is the same axes with the origin midway between the two cameras, which is the drone's
+//! position; `pixel` is the full image, x right, y down, the first pixel's centre at (0.5, 0.5);
+//! `letterbox` is the detector's input.
+
+mod boxes;
+mod camera;
+pub mod letterbox;
+mod sphere;
+
+pub use boxes::PixelBox;
+pub use camera::{Camera, Intrinsics, RigSettings, StereoRig};
+pub use sphere::{SphereTarget, sphere_box};

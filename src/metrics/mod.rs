@@ -1,0 +1,13 @@
+//! How good detections and distances are. Plain numbers in double precision, no tensors.
+
+pub mod average_precision;
+mod coco;
+mod curves;
+pub mod distance;
+mod matching;
+
+pub use average_precision::{ClassMetrics, DetectionMetrics, DetectionSummary, Target};
+pub use coco::CocoSummary;
+pub use curves::{CONFIDENCE_STEPS, DetectionCurves};
+pub use distance::{DistanceErrors, DistanceSummary};
+pub use matching::IOU_THRESHOLDS;

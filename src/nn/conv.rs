@@ -1,0 +1,191 @@
+//! Convolution, and the convolution - batch normalisation - activation block of YOLO11.
+
+use burn::config::Config;
+use burn::module::{Initializer, Module, Param};
+use burn::nn::{BatchNorm, BatchNormConfig};
+use burn::tensor::{Device, Tensor};
+
+use crate::kernels::{self, Activation, ConvGeometry};
+
+/// Constant of every batch normalisation in the network.
+const BATCH_NORM_EPSILON: f64 = 1e-3;
+/// Share of the newest batch in the running statistics.
+const BATCH_NORM_MOMENTUM: f64 = 0.03;
+
+/// Settings of a [`Conv`].
+#[derive(Config, Debug)]
+pub struct ConvConfig {
+    channels_in: usize,
+    channels_out: usize,
+    kernel_size: usize,
+    #[config(default = 1)]
+    stride: usize,
+    #[config(default = 0)]
+    padding: usize,
+    #[config(default = 1)]
+    groups: usize,
+    #[config(default = true)]
+    bias: bool,
+}
+
+/// A two-dimensional convolution on [`crate::kernels`].
+#[derive(Module, Debug)]
+pub struct Conv {
+    /// `[channels_out, channels_in / groups, kernel, kernel]`.
+    pub weight: Param<Tensor<4>>,
+    /// `[channels_out]`, absent before a batch normalisation.
+    pub bias: Option<Param<Tensor<1>>>,
+    #[module(skip)]
+    geometry: ConvGeometry,
+}
+
+impl ConvConfig {
+    /// A convolution with weights and bias uniform in `+-1 / sqrt(fan_in)`.
+    pub fn init(&self, device: &Device) -> Conv {
+        let per_group = self.channels_in / self.groups;
+        let fan_in = per_group * self.kernel_size * self.kernel_size;
+        let bound = 1.0 / (fan_in as f64).sqrt();
+        let initializer = Initializer::Uniform { min: -bound, max: bound };
+        let shape = [self.channels_out, per_group, self.kernel_size, self.kernel_size];
+        Conv {
+            weight: initializer.init(shape, device),
+            bias: self.bias.then(|| initializer.init([self.channels_out], device)),
+            geometry: ConvGeometry {
+                stride: self.stride,
+                padding: self.padding,
+                groups: self.groups,
+            },
+        }
+    }
+}
+
+impl Conv {
+    /// Convolves.
+    ///
+    /// # Shapes
+    /// - input: `[batch, channels_in, height, width]`
+    /// - output: `[batch, channels_out, height_out, width_out]`
+    pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
+        self.forward_act(input, Activation::None)
+    }
+
+    fn forward_act(&self, input: Tensor<4>, activation: Activation) -> Tensor<4> {
+        match &self.bias {
+            Some(bias) => {
+                kernels::conv2d_act(input, self.weight.val(), bias.val(), self.geometry, activation)
+            }
+            None => kernels::conv2d(input, self.weight.val(), self.geometry),
+        }
+    }
+}
+
+/// Settings of a [`ConvBlock`].
+#[derive(Config, Debug)]
+pub struct ConvBlockConfig {
+    channels_in: usize,
+    channels_out: usize,
+    #[config(default = 1)]
+    kernel_size: usize,
+    #[config(default = 1)]
+    stride: usize,
+    #[config(default = 1)]
+    groups: usize,
+    /// SiLU, or none ("linear").
+    #[config(default = true)]
+    activated: bool,
+}
+
+/// Convolution without bias, batch normalisation and SiLU: "Conv" in YOLO11's tables.
+#[derive(Module, Debug)]
+pub struct ConvBlock {
+    /// The convolution; it has a bias only once the normalisation is folded into it.
+    pub conv: Conv,
+    /// The normalisation; absent once folded.
+    pub bn: Option<BatchNorm>,
+    #[module(skip)]
+    activation: Activation,
+}
+
+impl ConvBlockConfig {
+    /// A block whose output is `ceil(input / stride)` pixels in size.
+    pub fn init(&self, device: &Device) -> ConvBlock {
+        ConvBlock {
+            conv: ConvConfig::new(self.channels_in, self.channels_out, self.kernel_size)
+                .with_stride(self.stride)
+                .with_padding(self.kernel_size / 2)
+                .with_groups(self.groups)
+                .with_bias(false)
+                .init(device),
+            bn: Some(
+                BatchNormConfig::new(self.channels_out)
+                    .with_epsilon(BATCH_NORM_EPSILON)
+                    .with_momentum(BATCH_NORM_MOMENTUM)
+                    .init(device),
+            ),
+            activation: if self.activated { Activation::Silu } else { Activation::None },
+        }
+    }
+}
+
+impl ConvBlock {
+    /// Convolves, normalises and activates.
+    ///
+    /// Normalises by the batch's statistics when the input is on an autodiff device and the
+    /// normalisation is in training state, by the running statistics otherwise.
+    ///
+    /// # Shapes
+    /// - input: `[batch, channels_in, height, width]`
+    /// - output: `[batch, channels_out, height_out, width_out]`
+    pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
+        let Some(bn) = &self.bn else {
+            return self.conv.forward_act(input, self.activation);
+        };
+        if input.device().is_autodiff() && bn.training.is_enabled() {
+            return self.forward_train(bn, input);
+        }
+        let (weight, bias) = folded(self.conv.weight.val(), bn);
+        kernels::conv2d_act(input, weight, bias, self.conv.geometry, self.activation)
+    }
+
+    fn forward_train(&self, bn: &BatchNorm, input: Tensor<4>) -> Tensor<4> {
+        let output = self.conv.forward(input);
+        let [batch, _, height, width] = output.dims();
+        let norm = kernels::batch_norm_act(
+            output,
+            bn.gamma.val(),
+            bn.beta.val(),
+            bn.epsilon as f32,
+            self.activation,
+        );
+        // The running variance is the unbiased one, unlike the one that normalises.
+        let count = (batch * height * width) as f64;
+        let unbiased = norm.variance.detach().mul_scalar(count / (count - 1.0).max(1.0));
+        let mix = |running: Tensor<1>, batch: Tensor<1>| {
+            running.mul_scalar(1.0 - bn.momentum).add(batch.mul_scalar(bn.momentum)).detach()
+        };
+        bn.running_mean.update(mix(bn.running_mean.value_sync(), norm.mean.detach()));
+        bn.running_var.update(mix(bn.running_var.value_sync(), unbiased));
+        norm.output
+    }
+
+    /// The same function for inference with the normalisation merged into the convolution.
+    pub fn folded(mut self) -> Self {
+        if let Some(bn) = self.bn.take() {
+            let (weight, bias) = folded(self.conv.weight.val(), &bn);
+            self.conv.weight = Param::from_tensor(weight);
+            self.conv.bias = Some(Param::from_tensor(bias));
+        }
+        self
+    }
+}
+
+/// `W' = W gamma / sqrt(var + eps)` and `b' = beta - mean gamma / sqrt(var + eps)`.
+fn folded(weight: Tensor<4>, bn: &BatchNorm) -> (Tensor<4>, Tensor<1>) {
+    let device = weight.device();
+    let mean = bn.running_mean.value().to_device(&device);
+    let variance = bn.running_var.value().to_device(&device);
+    let scale = bn.gamma.val() / (variance + bn.epsilon).sqrt();
+    let bias = bn.beta.val() - mean * scale.clone();
+    let [channels] = scale.dims();
+    (weight * scale.reshape([channels, 1, 1, 1]), bias)
+}

@@ -1,0 +1,183 @@
+//! The network: five blocks of linear convolutions, pooled by maximum and by average.
+
+use burn::config::Config;
+use burn::module::{Module, Param};
+use burn::tensor::activation::relu;
+use burn::tensor::module::{avg_pool2d, max_pool2d};
+use burn::tensor::{Device, Tensor};
+
+use super::compose_convolutions;
+use crate::dataset::CompositeSize;
+use crate::error::Result;
+use crate::kernels::{self, Activation, ConvGeometry};
+use crate::nn::{Conv, ConvConfig, Dense, DenseConfig};
+
+/// Channels through the convolutions of each block, its input first (paper, section 5.1).
+pub const BLOCK_CHANNELS: [&[usize]; 5] =
+    [&[3, 32, 32, 32], &[32, 25, 25, 25], &[25, 18, 18], &[18, 10, 10], &[10, 5, 5]];
+
+/// Numbers in the geometry vector: normalised box width and height.
+const GEOMETRY: usize = 2;
+const HIDDEN: [usize; 2] = [128, 64];
+
+/// Settings of a [`RangingNetwork`].
+#[derive(Config, Debug)]
+pub struct RangingConfig {
+    /// Height of the composite, pixels.
+    pub height: usize,
+    /// Width of the composite, pixels.
+    pub width: usize,
+}
+
+/// The twin-branch network (paper, section 5; twelve convolutions as listed in 5.1).
+#[derive(Module, Debug)]
+pub struct RangingNetwork {
+    /// 3x3 convolutions of each block, shared by both pathways.
+    pub blocks: Vec<Vec<Conv>>,
+    /// All features to 128.
+    pub fc1: Dense,
+    /// 128 to 64.
+    pub fc2: Dense,
+    /// 64 features and the geometry vector to metres.
+    pub out: Dense,
+}
+
+/// What the network computes on the way to its result.
+#[derive(Debug, Clone)]
+pub struct RangingFeatures {
+    /// Outputs of each block after pooling and ReLU: pathway A (maximum), then B (average).
+    pub blocks: Vec<[Tensor<4>; 2]>,
+    /// Flattened features, A then B, `[batch, features]`.
+    pub flat: Tensor<2>,
+    /// After the first hidden layer, `[batch, 128]`.
+    pub fc1: Tensor<2>,
+    /// After the second hidden layer, `[batch, 64]`.
+    pub fc2: Tensor<2>,
+}
+
+impl RangingConfig {
+    /// The settings for a composite size.
+    pub fn for_size(size: CompositeSize) -> Self {
+        Self::new(size.height as usize, size.width as usize)
+    }
+
+    /// Features after flattening both pathways.
+    pub fn features(&self) -> usize {
+        let side = |side: usize| {
+            BLOCK_CHANNELS
+                .iter()
+                .fold(side, |side, channels| side.saturating_sub(2 * (channels.len() - 1)) / 2)
+        };
+        2 * BLOCK_CHANNELS[4][2] * side(self.height) * side(self.width)
+    }
+
+    /// A network with fresh weights.
+    ///
+    /// # Errors
+    /// A composite so small that no feature is left.
+    pub fn init(&self, device: &Device) -> Result<RangingNetwork> {
+        CompositeSize::new(self.height as u32, self.width as u32)?;
+        let blocks = BLOCK_CHANNELS
+            .iter()
+            .map(|channels| {
+                channels
+                    .windows(2)
+                    .map(|pair| ConvConfig::new(pair[0], pair[1], 3).init(device))
+                    .collect()
+            })
+            .collect();
+        Ok(RangingNetwork {
+            blocks,
+            fc1: DenseConfig::new(self.features(), HIDDEN[0]).init(device),
+            fc2: DenseConfig::new(HIDDEN[0], HIDDEN[1]).init(device),
+            out: DenseConfig::new(HIDDEN[1] + GEOMETRY, 1).init(device),
+        })
+    }
+}
+
+impl RangingNetwork {
+    /// Estimates distances.
+    ///
+    /// # Shapes
+    /// - composite: `[batch, 3, height, width]`, right crop on top, normalised
+    /// - geometry: `[batch, 2]`, normalised box width and height
+    /// - output: `[batch, 1]`, metres
+    pub fn forward(&self, composite: Tensor<4>, geometry: Tensor<2>) -> Tensor<2> {
+        self.readout(self.features(composite).fc2, geometry)
+    }
+
+    /// The last layer: features and geometry to metres.
+    pub fn readout(&self, features: Tensor<2>, geometry: Tensor<2>) -> Tensor<2> {
+        self.out.forward(Tensor::cat(vec![features, geometry], 1))
+    }
+
+    /// Everything up to the last layer.
+    ///
+    /// Two exact rearrangements save most of the work. The first block's convolutions are linear
+    /// and the same for both pathways, so they run once, merged into one 7x7 convolution. From
+    /// then on the pathways' batches are stacked, since they share their weights.
+    pub fn features(&self, composite: Tensor<4>) -> RangingFeatures {
+        let [batch, ..] = composite.dims();
+        let (weight, bias) = self.merged_first_block();
+        let mut x = conv(composite, weight, bias);
+        let mut blocks = Vec::with_capacity(self.blocks.len());
+        for (index, block) in self.blocks.iter().enumerate() {
+            let (a, b) = if index == 0 {
+                (x.clone(), x)
+            } else {
+                let x = block.iter().fold(x, |x, layer| layer.forward(x));
+                (x.clone().narrow(0, 0, batch), x.narrow(0, batch, batch))
+            };
+            let a = relu(max_pool2d(a, [2, 2], [2, 2], [0, 0], [1, 1], false));
+            let b = relu(avg_pool2d(b, [2, 2], [2, 2], [0, 0], true, false));
+            x = Tensor::cat(vec![a.clone(), b.clone()], 0);
+            blocks.push([a, b]);
+        }
+        let [_, channels, height, width] = x.dims();
+        let side = channels * height * width;
+        let a = x.clone().narrow(0, 0, batch).reshape([batch, side]);
+        let b = x.narrow(0, batch, batch).reshape([batch, side]);
+        let flat = Tensor::cat(vec![a, b], 1);
+        let fc1 = relu(self.fc1.forward(flat.clone()));
+        let fc2 = relu(self.fc2.forward(fc1.clone()));
+        RangingFeatures { blocks, flat, fc1, fc2 }
+    }
+
+    /// The first block's three 3x3 convolutions as one 7x7 convolution: weight `[32, 3, 7, 7]` and
+    /// bias `[32]`.
+    pub fn merged_first_block(&self) -> (Tensor<4>, Tensor<1>) {
+        let mut layers = self.blocks[0].iter().map(|layer| {
+            let bias = layer.bias.as_ref().map(Param::val);
+            let bias = bias.unwrap_or_else(|| {
+                let weight = layer.weight.val();
+                Tensor::zeros([weight.dims()[0]], &weight.device())
+            });
+            (layer.weight.val(), bias)
+        });
+        // A block has at least one convolution by construction.
+        let first = layers.next().unwrap_or_else(|| unreachable!("block without convolutions"));
+        layers.fold(first, compose_convolutions)
+    }
+}
+
+fn conv(input: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
+    let geometry = ConvGeometry { stride: 1, padding: 0, groups: 1 };
+    kernels::conv2d_act(input, weight, bias, geometry, Activation::None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_paper_composite_leaves_1680_features_and_the_quick_one_60() {
+        assert_eq!(RangingConfig::new(828, 414).features(), 1680);
+        assert_eq!(RangingConfig::new(340, 170).features(), 60);
+    }
+
+    #[test]
+    fn a_composite_that_leaves_nothing_is_refused() {
+        let error = RangingConfig::new(220, 110).init(&Device::flex()).unwrap_err();
+        assert!(error.to_string().contains("324x162"), "{error}");
+    }
+}

@@ -1,0 +1,18 @@
+//! A CPU ray tracer that turns a [`Scene`](crate::world::Scene) into stereo pairs.
+//!
+//! A [`Stage`] is a scene made ready for tracing; [`render`] draws what one camera of a rig sees,
+//! [`Silhouette`] measures where the vehicle is in that image and how much of it is hidden.
+//! The same input gives the same bytes on every machine: arithmetic is IEEE 754 basic operations
+//! and `libm`, rays are traced in a fixed order, and nothing depends on threads.
+
+mod film;
+mod frame;
+mod pose;
+mod shade;
+mod silhouette;
+mod trace;
+
+pub use frame::{RenderSettings, render};
+pub use pose::{Eye, RigPose};
+pub use silhouette::Silhouette;
+pub use trace::Stage;

@@ -1,0 +1,205 @@
+//! Rays against the scene: what do they hit first, and is the way free?
+
+use glam::Vec3A;
+use obvhs::BvhBuildParams;
+use obvhs::bvh2::Bvh2;
+use obvhs::bvh2::builder::build_bvh2_from_tris;
+use obvhs::ray::{Ray, RayHit};
+
+use crate::world::Scene;
+use crate::world::mesh::Triangle;
+
+/// Barycentric coordinates may leave the triangle by this much, so that rays cannot slip through
+/// between two triangles that share an edge.
+const EDGE_TOLERANCE: f32 = 1e-5;
+/// Hits nearer than this are taken for the surface that the ray started from, metres.
+const NEAREST_M: f32 = 1e-3;
+
+/// What a ray may hit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Object {
+    Ground,
+    City,
+    Vehicle,
+}
+
+/// Where a ray hits.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Hit {
+    /// Distance along the ray, metres.
+    pub t: f32,
+    pub object: Object,
+    /// Index into the object's triangles; meaningless for the ground.
+    pub triangle: u32,
+}
+
+/// A scene made ready for tracing.
+pub struct Stage {
+    pub(crate) scene: Scene,
+    city: Tree,
+    vehicle: Tree,
+}
+
+impl std::fmt::Debug for Stage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Stage")
+            .field("vehicle", &self.scene.vehicle.style())
+            .field("city_triangles", &self.city.triangles.len())
+            .field("vehicle_triangles", &self.vehicle.triangles.len())
+            .finish()
+    }
+}
+
+/// Triangles under a bounding volume hierarchy, in the order of its leaves.
+struct Tree {
+    bvh: Bvh2,
+    /// A corner and the two edges from it.
+    edges: Vec<[Vec3A; 3]>,
+    triangles: Vec<Triangle>,
+}
+
+impl Tree {
+    fn new(triangles: &[Triangle]) -> Self {
+        let bare: Vec<obvhs::triangle::Triangle> = triangles
+            .iter()
+            .map(|t| obvhs::triangle::Triangle { v0: t.vertices[0], v1: t.vertices[1], v2: t.vertices[2] })
+            .collect();
+        let bvh = build_bvh2_from_tris(&bare, BvhBuildParams::medium_build(), &mut std::time::Duration::ZERO.clone());
+        let triangles: Vec<Triangle> =
+            bvh.primitive_indices.iter().map(|&index| triangles[index as usize]).collect();
+        let edges = triangles
+            .iter()
+            .map(|t| {
+                let [a, b, c] = t.vertices;
+                [a, b - a, c - a]
+            })
+            .collect();
+        Self { bvh, edges, triangles }
+    }
+
+    /// Distance to a triangle, infinite where the ray misses it.
+    #[inline]
+    fn intersect(&self, ray: &Ray, index: usize) -> f32 {
+        let [corner, edge_1, edge_2] = self.edges[index];
+        let p = ray.direction.cross(edge_2);
+        let scale = 1.0 / edge_1.dot(p);
+        let s = ray.origin - corner;
+        let u = s.dot(p) * scale;
+        let q = s.cross(edge_1);
+        let v = ray.direction.dot(q) * scale;
+        let t = edge_2.dot(q) * scale;
+        // A ray in the triangle's plane divides by zero; every comparison with NaN is false.
+        let inside = u >= -EDGE_TOLERANCE && v >= -EDGE_TOLERANCE && u + v <= 1.0 + EDGE_TOLERANCE;
+        if inside && t >= ray.tmin { t } else { f32::INFINITY }
+    }
+
+    fn nearest(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<(f32, u32)> {
+        let ray = Ray::new(origin, direction, NEAREST_M, limit);
+        let mut hit = RayHit::none();
+        self.bvh
+            .ray_traverse(ray, &mut hit, |ray, index| self.intersect(ray, index))
+            .then_some((hit.t, hit.primitive_id))
+    }
+
+    fn is_free(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
+        let ray = Ray::new(origin, direction, NEAREST_M, limit);
+        self.bvh.ray_traverse_miss(ray, |ray, index| self.intersect(ray, index))
+    }
+}
+
+impl Stage {
+    /// Prepares a scene.
+    pub fn new(mut scene: Scene) -> Self {
+        // The trees keep the triangles in an order of their own.
+        let city = Tree::new(&std::mem::take(&mut scene.city.mesh.triangles));
+        let vehicle = Tree::new(&std::mem::take(&mut scene.vehicle.triangles));
+        Self { scene, city, vehicle }
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Whether a drone fits here: nothing of the city within `clearance_m` in fourteen directions.
+    pub(crate) fn has_room(&self, position_world: [f64; 3], clearance_m: f64) -> bool {
+        let origin = Vec3A::from_array(position_world.map(|v| v as f32));
+        let sides = [Vec3A::X, Vec3A::Y, Vec3A::Z].into_iter();
+        let corners = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)]
+            .map(|(x, y)| Vec3A::new(x, y, 1.0).normalize());
+        sides
+            .chain(corners)
+            .flat_map(|direction| [direction, -direction])
+            .all(|direction| self.is_free_of_city(origin, direction, clearance_m as f32))
+    }
+
+    /// What a ray hits first; None is the sky.
+    pub(crate) fn nearest(&self, origin: Vec3A, direction: Vec3A) -> Option<Hit> {
+        let ground = -origin.z / direction.z;
+        let mut limit = f32::INFINITY;
+        let mut nearest = None;
+        if ground > NEAREST_M {
+            limit = ground;
+            nearest = Some(Hit { t: ground, object: Object::Ground, triangle: 0 });
+        }
+        for (tree, object) in [(&self.vehicle, Object::Vehicle), (&self.city, Object::City)] {
+            if let Some((t, triangle)) = tree.nearest(origin, direction, limit) {
+                limit = t;
+                nearest = Some(Hit { t, object, triangle });
+            }
+        }
+        nearest
+    }
+
+    /// The vehicle alone: distance along the ray, if it hits.
+    pub(crate) fn vehicle_distance(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
+        self.vehicle.nearest(origin, direction, f32::INFINITY).map(|(t, _)| t)
+    }
+
+    /// Whether nothing of the city stands within `limit` metres along a ray.
+    pub(crate) fn is_free_of_city(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
+        self.city.is_free(origin, direction, limit)
+    }
+
+    /// Whether nothing at all stands in the way, however far.
+    pub(crate) fn is_free(&self, origin: Vec3A, direction: Vec3A) -> bool {
+        self.vehicle.is_free(origin, direction, f32::INFINITY)
+            && self.city.is_free(origin, direction, f32::INFINITY)
+    }
+
+    /// The triangle that was hit; None for the ground.
+    pub(crate) fn triangle(&self, hit: &Hit) -> Option<&Triangle> {
+        match hit.object {
+            Object::Ground => None,
+            Object::City => Some(&self.city.triangles[hit.triangle as usize]),
+            Object::Vehicle => Some(&self.vehicle.triangles[hit.triangle as usize]),
+        }
+    }
+
+    /// Corners of the vehicle's triangles, metres, world.
+    pub(crate) fn vehicle_corners(&self) -> impl Iterator<Item = Vec3A> {
+        self.vehicle.triangles.iter().flat_map(|t| t.vertices)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_hit_agrees_with_testing_every_triangle() {
+        let stage = Stage::new(Scene::draw(4, 0, 40.0));
+        let origin = Vec3A::new(12.0, -9.0, 11.0);
+        for i in 0..200_u16 {
+            let [a, b] = [f32::from(i) * 0.031 - 3.1, f32::from(i * 7 % 200) * 0.006];
+            let direction = Vec3A::new(libm::cosf(a), libm::sinf(a), -b).normalize();
+            let ray = Ray::new(origin, direction, NEAREST_M, f32::INFINITY);
+            let slow = (0..stage.city.edges.len())
+                .map(|index| stage.city.intersect(&ray, index))
+                .fold(f32::INFINITY, f32::min);
+            let fast = stage.city.nearest(origin, direction, f32::INFINITY);
+            assert_eq!(fast.map_or(f32::INFINITY, |(t, _)| t), slow);
+            assert_eq!(stage.city.is_free(origin, direction, f32::INFINITY), fast.is_none());
+        }
+    }
+}

@@ -1,0 +1,231 @@
+//! Weights as safetensors: names, shapes and a header that says what the network is.
+//!
+//! Tensors are stored under the names and in the layout that PyTorch users know
+//! (`model.0.conv.weight`, `[outputs, inputs]`), so other programs can read them. Files are only
+//! ever parsed as safetensors; nothing in them is executed.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
+use burn::tensor::{Tensor, TensorData};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use crate::error::{Error, Result};
+use crate::files;
+
+/// The metadata entry that holds the typed header as JSON.
+const HEADER: &str = "twinsight";
+
+/// The tensors of a network by name, with the file they came from.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct StateDict {
+    /// Where it was read; empty for one taken from a network.
+    pub path: PathBuf,
+    /// Shape and values of every tensor.
+    pub tensors: BTreeMap<String, (Vec<usize>, Vec<f32>)>,
+    /// The file's metadata.
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl StateDict {
+    /// Takes the tensors of a module; `name` turns a module path into a tensor's name.
+    pub fn of<M: Module>(module: &M, name: fn(&str) -> String) -> Self {
+        struct Collect {
+            path: Vec<String>,
+            name: fn(&str) -> String,
+            tensors: BTreeMap<String, (Vec<usize>, Vec<f32>)>,
+        }
+        impl ModuleVisitor for Collect {
+            fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+                let tensor = param.val();
+                let shape = tensor.dims().to_vec();
+                // A parameter is always readable as 32-bit floats.
+                if let Ok(values) = tensor.without_autodiff().try_into_vec_as::<f32>() {
+                    self.tensors.insert((self.name)(&self.path.join(".")), (shape, values));
+                }
+            }
+            fn enter_module(&mut self, name: &str, _: &str) {
+                self.path.push(name.to_owned());
+            }
+            fn exit_module(&mut self, _: &str, _: &str) {
+                self.path.pop();
+            }
+        }
+        let mut collect = Collect { path: Vec::new(), name, tensors: BTreeMap::new() };
+        module.visit(&mut collect);
+        Self { tensors: collect.tensors, ..Self::default() }
+    }
+
+    /// Adds a typed header.
+    ///
+    /// # Errors
+    /// A header that is not representable as JSON.
+    pub fn with_header(mut self, header: &impl Serialize) -> Result<Self> {
+        let json = serde_json::to_string(header).map_err(|source| {
+            Error::value("weights header", source.to_string(), "report this as a defect")
+        })?;
+        self.metadata.insert(HEADER.to_owned(), json);
+        Ok(self)
+    }
+
+    /// The typed header, if the file has one.
+    ///
+    /// # Errors
+    /// A header that is not the one asked for.
+    pub fn header<H: DeserializeOwned>(&self) -> Result<Option<H>> {
+        self.metadata
+            .get(HEADER)
+            .map(|json| {
+                serde_json::from_str(json).map_err(|source| {
+                    Error::weights(
+                        &self.path,
+                        format!("its header is not that of this network: {source}"),
+                        "give the weights file that `train` wrote for this network",
+                    )
+                })
+            })
+            .transpose()
+    }
+
+    /// Writes the file: to a temporary name first, then renamed.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let bytes: Vec<(&String, &[usize], Vec<u8>)> = self
+            .tensors
+            .iter()
+            .map(|(name, (shape, values))| {
+                (name, &shape[..], values.iter().flat_map(|value| value.to_le_bytes()).collect())
+            })
+            .collect();
+        let defect = |source: safetensors::SafeTensorError| {
+            Error::weights(path, format!("cannot be encoded: {source}"), "report this as a defect")
+        };
+        let views = bytes
+            .iter()
+            .map(|(name, shape, bytes)| {
+                let view = TensorView::new(Dtype::F32, shape.to_vec(), bytes).map_err(defect)?;
+                Ok((name.as_str(), view))
+            })
+            .collect::<Result<Vec<_>>>()?;
+        let metadata = self.metadata.clone().into_iter().collect();
+        let file = safetensors::serialize(views, Some(metadata)).map_err(defect)?;
+        files::write_atomically(path, &file)
+    }
+
+    /// Reads a file; half-precision tensors are widened, integers left out.
+    ///
+    /// # Errors
+    /// A file that is missing, truncated or not safetensors.
+    pub fn load(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        let broken = |source: safetensors::SafeTensorError| {
+            let remedy = if bytes.starts_with(b"PK") || bytes.first() == Some(&0x80) {
+                "this looks like a pickled PyTorch file, which is never executed here: export its \
+                 state dict to safetensors first"
+            } else {
+                "the file is truncated or not a safetensors file: train again or restore a copy"
+            };
+            Error::weights(path, format!("cannot be read ({source})"), remedy)
+        };
+        let file = SafeTensors::deserialize(&bytes).map_err(broken)?;
+        let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(broken)?;
+        let mut tensors = BTreeMap::new();
+        for (name, view) in file.iter() {
+            let data = view.data();
+            let values: Vec<f32> = match view.dtype() {
+                Dtype::F32 => chunks(data, f32::from_le_bytes),
+                Dtype::F64 => chunks(data, |bytes| f64::from_le_bytes(bytes) as f32),
+                Dtype::F16 => chunks(data, |bytes| burn::tensor::f16::from_le_bytes(bytes).to_f32()),
+                Dtype::BF16 => chunks(data, |bytes| burn::tensor::bf16::from_le_bytes(bytes).to_f32()),
+                _ => continue,
+            };
+            tensors.insert(name.to_owned(), (view.shape().to_vec(), values));
+        }
+        let metadata = metadata.metadata().clone().unwrap_or_default().into_iter().collect();
+        Ok(Self { path: path.to_path_buf(), tensors, metadata })
+    }
+
+    /// Puts the tensors into a module of the same structure.
+    ///
+    /// # Errors
+    /// Names every missing, unexpected and mis-shaped tensor; the module is then lost, not half
+    /// loaded.
+    pub fn apply<M: Module>(&self, module: M, name: fn(&str) -> String) -> Result<M> {
+        let mut apply = Apply {
+            path: Vec::new(),
+            name,
+            tensors: &self.tensors,
+            used: Vec::new(),
+            problems: Vec::new(),
+        };
+        let module = module.map(&mut apply);
+        let Apply { mut used, mut problems, .. } = apply;
+        used.sort();
+        problems.extend(
+            self.tensors
+                .keys()
+                .filter(|name| used.binary_search(name).is_err())
+                .map(|name| format!("unexpected tensor {name}")),
+        );
+        if problems.is_empty() {
+            return Ok(module);
+        }
+        let shown = 5;
+        let more = problems.len().saturating_sub(shown);
+        problems.truncate(shown);
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        Err(Error::weights(
+            &self.path,
+            format!("does not fit this network: {}{more}", problems.join("; ")),
+            "give the weights of this network, scale and class count",
+        ))
+    }
+}
+
+fn chunks<const N: usize>(data: &[u8], convert: impl Fn([u8; N]) -> f32) -> Vec<f32> {
+    let (values, _) = data.as_chunks::<N>();
+    values.iter().map(|bytes| convert(*bytes)).collect()
+}
+
+/// Replaces every parameter by the tensor of its name.
+struct Apply<'a> {
+    path: Vec<String>,
+    name: fn(&str) -> String,
+    tensors: &'a BTreeMap<String, (Vec<usize>, Vec<f32>)>,
+    used: Vec<String>,
+    problems: Vec<String>,
+}
+
+impl ModuleMapper for Apply<'_> {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        let name = (self.name)(&self.path.join("."));
+        let Some((shape, values)) = self.tensors.get(&name) else {
+            self.problems.push(format!("missing tensor {name}"));
+            return param;
+        };
+        self.used.push(name.clone());
+        let expected = param.lazy_shape().dims::<D>();
+        if shape[..] != expected {
+            self.problems.push(format!("tensor {name} has shape {shape:?} instead of {expected:?}"));
+            return param;
+        }
+        param.map(|tensor| {
+            let data = TensorData::new(values.clone(), expected);
+            let loaded = Tensor::from_data(data, &tensor.device());
+            loaded.set_require_grad(tensor.is_require_grad())
+        })
+    }
+
+    fn enter_module(&mut self, name: &str, _: &str) {
+        self.path.push(name.to_owned());
+    }
+
+    fn exit_module(&mut self, _: &str, _: &str) {
+        self.path.pop();
+    }
+}
