@@ -6,6 +6,7 @@
 
 mod config;
 mod plan;
+mod settle;
 mod write;
 
 use std::path::Path;
@@ -21,7 +22,8 @@ use crate::geometry::{SphereTarget, StereoRig, sphere_box};
 use crate::progress::Progress;
 use crate::render::{Eye, RenderSettings, RigPose, Silhouette, Stage, render};
 use crate::world::Scene;
-use plan::{Capture, SceneDraft, plan_scenes};
+use plan::{SceneDraft, plan_scenes};
+use settle::Capture;
 use write::Target;
 
 /// What [`generate`] did.
@@ -48,15 +50,21 @@ pub struct GenerateReport {
 /// # Errors
 /// An unusable configuration, a folder that holds a finished dataset or one begun with another
 /// configuration, a failed write, or [`Error::Interrupted`].
-pub fn generate(config: &GenerateConfig, out: &Path, progress: &dyn Progress) -> Result<GenerateReport> {
+pub fn generate(
+    config: &GenerateConfig,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<GenerateReport> {
     config.validate()?;
     let rig = config.rig()?;
     let target = Target::open(config, out)?;
     let scenes = plan_scenes(config);
     let total = scenes.iter().map(|scene| scene.frames.len()).sum::<usize>();
     progress.begin("rendering frames", total as u64);
-    let done: Result<Vec<Vec<(FrameRow, bool)>>> =
-        scenes.par_iter().map(|scene| generate_scene(config, &rig, scene, &target, progress)).collect();
+    let done: Result<Vec<Vec<(FrameRow, bool)>>> = scenes
+        .par_iter()
+        .map(|scene| generate_scene(config, &rig, scene, &target, progress))
+        .collect();
     progress.end();
     let mut done: Vec<(FrameRow, bool)> = done?.into_iter().flatten().collect();
     done.sort_by_key(|(row, _)| row.stamp);
@@ -84,7 +92,11 @@ fn generate_scene(
     if progress.interrupted() {
         return Err(interrupted());
     }
-    let reach_m = scene.frames.iter().map(|frame| frame.distance_m).fold(0.0, f64::max);
+    let reach_m = scene
+        .frames
+        .iter()
+        .map(|frame| frame.distance_m)
+        .fold(0.0, f64::max);
     let stage = Stage::new(Scene::draw(config.seed, scene.number, reach_m));
     scene
         .frames
@@ -106,7 +118,9 @@ fn generate_scene(
 
 fn interrupted() -> Error {
     Error::Interrupted {
-        resume: "the frames so far are kept; start again with the same settings and folder to go on".to_owned(),
+        resume:
+            "the frames so far are kept; start again with the same settings and folder to go on"
+                .to_owned(),
     }
 }
 
@@ -143,7 +157,10 @@ fn labels(stage: &Stage, rig: &StereoRig, pose: &RigPose, eye: Eye, distance_m: 
         radius_min_m: vehicle.radius_min_m(),
         radius_sphere_m: vehicle.radius_sphere_m(),
     };
-    let boxes = [(BoxKind::Sphere, sphere_box(camera, &sphere)), (BoxKind::Tight, silhouette.tight)];
+    let boxes = [
+        (BoxKind::Sphere, sphere_box(camera, &sphere)),
+        (BoxKind::Tight, silhouette.tight),
+    ];
     boxes
         .into_iter()
         .filter_map(|(kind, box_pixel)| {

@@ -1,1 +1,72 @@
-fn main(){}
+//! The program `twinsight`: reads the command line, runs one command, turns errors into exit codes.
+//!
+//! 0: done. 2: an error, named in one line on standard error. 130: stopped by Ctrl-C.
+
+mod cli;
+
+use std::panic;
+use std::process::ExitCode;
+use std::sync::{Mutex, PoisonError};
+
+use clap::Parser as _;
+use twinsight::{Error, Result};
+
+use cli::{Cli, stderr};
+
+/// Exit code of every error, as of clap's own usage errors.
+const FAILED: u8 = 2;
+
+/// Exit code after Ctrl-C, as shells count it: 128 and the signal's number.
+pub(crate) const INTERRUPTED: u8 = 130;
+
+/// What the first panic said. Kept rather than printed at once: the library catches some panics of
+/// drivers that are not installed, and those are no defects.
+static DEFECT: Mutex<Option<String>> = Mutex::new(None);
+
+fn main() -> ExitCode {
+    panic::set_hook(Box::new(|info| {
+        let mut defect = DEFECT.lock().unwrap_or_else(PoisonError::into_inner);
+        defect.get_or_insert_with(|| info.to_string());
+    }));
+    match panic::catch_unwind(parse_and_run) {
+        Ok(code) => code,
+        Err(_) => report_defect(),
+    }
+}
+
+/// Help and usage errors are clap's, everything else is a command's.
+fn parse_and_run() -> ExitCode {
+    match Cli::try_parse() {
+        Ok(cli) => exit_code(cli.run()),
+        Err(message) => match cli::stdout::unless_closed(message.print()) {
+            Ok(()) => ExitCode::from(u8::try_from(message.exit_code()).unwrap_or(FAILED)),
+            failed => exit_code(failed),
+        },
+    }
+}
+
+/// Prints an error, once.
+fn exit_code(outcome: Result<()>) -> ExitCode {
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error @ Error::Interrupted { .. }) => {
+            stderr::line(&error.to_string());
+            ExitCode::from(INTERRUPTED)
+        }
+        Err(error) => {
+            stderr::line(&format!("error: {error}"));
+            ExitCode::from(FAILED)
+        }
+    }
+}
+
+/// A panic is this program's fault, never the user's.
+fn report_defect() -> ExitCode {
+    let defect = DEFECT.lock().unwrap_or_else(PoisonError::into_inner).take();
+    let words = defect.unwrap_or_default();
+    let one_line = words.split_whitespace().collect::<Vec<_>>().join(" ");
+    stderr::line(&format!(
+        "error: internal defect: {one_line}; please report this line and the command that you typed"
+    ));
+    ExitCode::from(FAILED)
+}

@@ -14,7 +14,7 @@ use crate::imaging::{ChannelStatistics, PlaneWindow, crop_into_planes, crop_resi
 ///
 /// As text it is height x width, the paper's order: `828x414`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "RawSize")]
+#[serde(try_from = "String", into = "String")]
 pub struct CompositeSize {
     /// Height of both crops together.
     pub height: u32,
@@ -22,19 +22,17 @@ pub struct CompositeSize {
     pub width: u32,
 }
 
-/// A size as it is written, before the check.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawSize {
-    height: u32,
-    width: u32,
-}
-
-impl TryFrom<RawSize> for CompositeSize {
+impl TryFrom<String> for CompositeSize {
     type Error = Error;
 
-    fn try_from(RawSize { height, width }: RawSize) -> Result<Self> {
-        Self::new(height, width)
+    fn try_from(text: String) -> Result<Self> {
+        text.parse()
+    }
+}
+
+impl From<CompositeSize> for String {
+    fn from(size: CompositeSize) -> Self {
+        size.to_string()
     }
 }
 

@@ -16,7 +16,9 @@ use crate::world::Sun;
 pub enum SplitMode {
     /// Whole scenes with their vehicles: validation shows cities and cars never seen in training.
     Scene,
-    /// Single frames at random, as the paper does; validation shows the scenes of training.
+    /// Single frames at random, as the paper does: validation shows the scenes of training. Planned
+    /// views of one scene are at least 15 degrees apart or have different distances, so none is a
+    /// near-copy of another.
     Frame,
 }
 
@@ -165,15 +167,30 @@ impl GenerateConfig {
         // TOML has no integers above this.
         in_range("seed", self.seed as f64, 0.0, i64::MAX as f64 / 2.0)?;
         in_range("frames", f64::from(self.frames), 1.0, 1e6)?;
-        in_range("frames_per_scene", f64::from(self.frames_per_scene), 1.0, 1e6)?;
+        in_range(
+            "frames_per_scene",
+            f64::from(self.frames_per_scene),
+            1.0,
+            1e6,
+        )?;
         in_range("width", f64::from(self.width), 64.0, 8192.0)?;
         in_range("height", f64::from(self.height), 64.0, 8192.0)?;
         in_range("hfov_deg", self.hfov_deg, 10.0, 140.0)?;
         in_range("baseline_m", self.baseline_m, 0.01, 5.0)?;
         // Nearer than this the drone is in the car; further away the car is a dot in a haze.
         in_range("distance_min_m", self.distance_min_m, 5.0, 500.0)?;
-        in_range("distance_max_m", self.distance_max_m, self.distance_min_m, 500.0)?;
-        in_range("samples_per_pixel", f64::from(self.samples_per_pixel), 1.0, 64.0)?;
+        in_range(
+            "distance_max_m",
+            self.distance_max_m,
+            self.distance_min_m,
+            500.0,
+        )?;
+        in_range(
+            "samples_per_pixel",
+            f64::from(self.samples_per_pixel),
+            1.0,
+            64.0,
+        )?;
         in_range("noise_counts", f64::from(self.noise_counts), 0.0, 50.0)?;
         in_range("min_visible", self.min_visible, 0.0, 0.9)?;
         in_range("val_fraction", self.val_fraction, 0.0, 0.9)?;
@@ -199,7 +216,12 @@ impl GenerateConfig {
             for &distance_m in &test.distances_m {
                 in_range("test.distances_m", distance_m, 5.0, 500.0)?;
             }
-            in_range("test.scenes", f64::from(test.scenes), 1.0, test.frames() as f64)?;
+            in_range(
+                "test.scenes",
+                f64::from(test.scenes),
+                1.0,
+                test.frames() as f64,
+            )?;
             if test.views.contains(&View::Other) {
                 return Err(Error::value(
                     "test.views",
@@ -222,7 +244,9 @@ impl GenerateConfig {
     /// Number of training and validation scenes. At least two where there are two frames, so that
     /// a split by scene has something to divide.
     pub fn scenes(&self) -> u32 {
-        self.frames.div_ceil(self.frames_per_scene.max(1)).max(self.frames.min(2))
+        self.frames
+            .div_ceil(self.frames_per_scene.max(1))
+            .max(self.frames.min(2))
     }
 }
 
@@ -236,14 +260,25 @@ mod tests {
         assert_eq!((quick.frames, quick.width, quick.scenes()), (300, 640, 20));
         assert_eq!(quick.test.unwrap().frames(), 36);
         let paper = GenerateConfig::preset("paper").unwrap();
-        assert_eq!((paper.frames, paper.width, paper.height), (7000, 2048, 1152));
+        assert_eq!(
+            (paper.frames, paper.width, paper.height),
+            (7000, 2048, 1152)
+        );
         assert_eq!(paper.test.unwrap().frames(), 108);
-        assert!(GenerateConfig::preset("huge").unwrap_err().to_string().contains("quick, paper"));
+        assert!(
+            GenerateConfig::preset("huge")
+                .unwrap_err()
+                .to_string()
+                .contains("quick, paper")
+        );
     }
 
     #[test]
     fn the_quick_preset_is_the_default_but_for_the_test_frames() {
-        let quick = GenerateConfig { test: None, ..GenerateConfig::preset("quick").unwrap() };
+        let quick = GenerateConfig {
+            test: None,
+            ..GenerateConfig::preset("quick").unwrap()
+        };
         assert_eq!(quick, GenerateConfig::default());
     }
 
@@ -251,12 +286,48 @@ mod tests {
     fn unusable_values_are_refused_by_name() {
         let base = GenerateConfig::default();
         let cases = [
-            (GenerateConfig { frames: 0, ..base.clone() }, "frames = 0"),
-            (GenerateConfig { samples_per_pixel: 5, ..base.clone() }, "samples_per_pixel = 5"),
-            (GenerateConfig { distance_max_m: 2.0, ..base.clone() }, "distance_max_m = 2"),
-            (GenerateConfig { min_visible: f64::NAN, ..base.clone() }, "min_visible = NaN"),
-            (GenerateConfig { suns: Vec::new(), ..base.clone() }, "suns"),
-            (GenerateConfig { baseline_m: -1.0, ..base }, "baseline_m = -1"),
+            (
+                GenerateConfig {
+                    frames: 0,
+                    ..base.clone()
+                },
+                "frames = 0",
+            ),
+            (
+                GenerateConfig {
+                    samples_per_pixel: 5,
+                    ..base.clone()
+                },
+                "samples_per_pixel = 5",
+            ),
+            (
+                GenerateConfig {
+                    distance_max_m: 2.0,
+                    ..base.clone()
+                },
+                "distance_max_m = 2",
+            ),
+            (
+                GenerateConfig {
+                    min_visible: f64::NAN,
+                    ..base.clone()
+                },
+                "min_visible = NaN",
+            ),
+            (
+                GenerateConfig {
+                    suns: Vec::new(),
+                    ..base.clone()
+                },
+                "suns",
+            ),
+            (
+                GenerateConfig {
+                    baseline_m: -1.0,
+                    ..base
+                },
+                "baseline_m = -1",
+            ),
         ];
         for (config, words) in cases {
             let message = config.validate().unwrap_err().to_string();
@@ -266,7 +337,12 @@ mod tests {
 
     #[test]
     fn an_unknown_field_is_an_error_that_names_it() {
-        let message = GenerateConfig::parse("framez = 3", "a.toml").unwrap_err().to_string();
-        assert!(message.contains("framez") && message.contains("a.toml"), "{message}");
+        let message = GenerateConfig::parse("framez = 3", "a.toml")
+            .unwrap_err()
+            .to_string();
+        assert!(
+            message.contains("framez") && message.contains("a.toml"),
+            "{message}"
+        );
     }
 }

@@ -3,17 +3,15 @@
 //! Within a scene the drone orbits the vehicle: each frame is about 20 degrees further round, and
 //! after each full turn it is about 20 degrees higher. Distances are stratified, so that every
 //! scene, and with it every split, covers the whole range. Frames are planned without looking at
-//! the city ([`plan_scenes`]); a plan is settled once the scene is known ([`FrameDraft::settle`]),
-//! which moves the drone where a building hides the vehicle.
+//! the city ([`plan_scenes`]); [`settle`](super::settle) moves the drone where a building hides the
+//! vehicle.
 
 use rand::seq::SliceRandom as _;
 use rand::{Rng, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
 use super::config::{GenerateConfig, SplitMode, TestProtocol};
-use crate::dataset::{FrameRow, Split, View};
-use crate::geometry::StereoRig;
-use crate::render::{Eye, RigPose, Silhouette, Stage};
+use crate::dataset::{Split, View};
 use crate::world::Sun;
 use crate::world::noise::derive_seed;
 
@@ -23,13 +21,7 @@ const VIEW_SECTOR_DEG: f64 = 25.0;
 const STEP_DEG: f64 = 20.0;
 const STEP_JITTER_DEG: f64 = 5.0;
 /// The drone keeps below this elevation while there is a choice, degrees.
-const HIGHEST_DEG: f64 = 75.0;
-/// From here nothing can hide a vehicle on an open road: the last resort, degrees.
-const LAST_RESORT_DEG: f64 = 82.0;
-/// Views tried before the best of them is taken.
-const ATTEMPTS: u32 = 40;
-/// The drone keeps this far from buildings, trees and the ground, metres.
-const CLEARANCE_M: f64 = 1.3;
+pub(super) const HIGHEST_DEG: f64 = 75.0;
 
 const PLAN_STREAM: u64 = 4;
 const FRAME_STREAM: u64 = 5;
@@ -58,21 +50,15 @@ pub(super) struct FrameDraft {
     pub seed: u64,
 }
 
-/// A frame that is ready to be rendered.
-#[derive(Debug, Clone)]
-pub(super) struct Capture {
-    pub row: FrameRow,
-    pub pose: RigPose,
-    pub sun: Sun,
-    pub distance_m: f64,
-    pub noise_seed: u64,
-}
-
 /// The side of a vehicle that a drone at this azimuth sees (0 in front, 180 behind, any sign and
 /// number of turns): within 25 degrees of the axis it is front, side or rear, between them other.
 pub fn view_of_azimuth(azimuth_deg: f64) -> View {
     let folded = (azimuth_deg % 360.0).abs();
-    let from_front = if folded > 180.0 { 360.0 - folded } else { folded };
+    let from_front = if folded > 180.0 {
+        360.0 - folded
+    } else {
+        folded
+    };
     if from_front <= VIEW_SECTOR_DEG {
         View::Front
     } else if from_front >= 180.0 - VIEW_SECTOR_DEG {
@@ -93,7 +79,10 @@ pub(super) fn plan_scenes(config: &GenerateConfig) -> Vec<SceneDraft> {
             let [first, end] =
                 [number, number + 1].map(|n| u64::from(n) * u64::from(frames) / u64::from(scenes));
             let count = (end - first) as u32;
-            SceneDraft { number, frames: orbit(config, number, first, count, &mut rng) }
+            SceneDraft {
+                number,
+                frames: orbit(config, number, first, count, &mut rng),
+            }
         })
         .collect();
     match config.split {
@@ -107,16 +96,29 @@ pub(super) fn plan_scenes(config: &GenerateConfig) -> Vec<SceneDraft> {
 }
 
 /// The orbit of one scene.
-fn orbit(config: &GenerateConfig, scene: u32, first: u64, count: u32, rng: &mut impl Rng) -> Vec<FrameDraft> {
+fn orbit(
+    config: &GenerateConfig,
+    scene: u32,
+    first: u64,
+    count: u32,
+    rng: &mut impl Rng,
+) -> Vec<FrameDraft> {
     const FRAMES_PER_TURN: u32 = 18;
     /// Levels of 20 degrees between the lowest and the highest flight.
     const LEVELS: u32 = 4;
     // A scene of less than four turns does not get to every height; scenes then start at different
     // levels, so that together they do.
     let turns = count.div_ceil(FRAMES_PER_TURN);
-    let start_level = if turns >= LEVELS { 0 } else { scene % (LEVELS + 1 - turns.max(1)) };
+    let start_level = if turns >= LEVELS {
+        0
+    } else {
+        scene % (LEVELS + 1 - turns.max(1))
+    };
     let lowest = rng.random_range(10.0..16.0_f64);
-    let mut elevation = lowest + STEP_DEG * f64::from(start_level);
+    let mut step = || STEP_DEG + rng.random_range(-STEP_JITTER_DEG..STEP_JITTER_DEG);
+    let mut elevation = (0..start_level)
+        .fold(lowest, |level, _| level + step())
+        .min(HIGHEST_DEG);
     let mut azimuth = rng.random_range(-180.0..180.0_f64);
     let mut round = 0.0;
     let mut strata: Vec<u32> = (0..count).collect();
@@ -195,8 +197,12 @@ fn plan_test(
     let mut order: Vec<usize> = (0..total).collect();
     // Which scene a combination comes from is random: no distance, sun or side is one city's alone.
     order.shuffle(rng);
-    let mut scenes: Vec<SceneDraft> =
-        (0..test.scenes).map(|i| SceneDraft { number: first_scene + i, frames: Vec::new() }).collect();
+    let mut scenes: Vec<SceneDraft> = (0..test.scenes)
+        .map(|i| SceneDraft {
+            number: first_scene + i,
+            frames: Vec::new(),
+        })
+        .collect();
     let [suns, views] = [test.suns.len(), test.views.len()];
     for (index, place) in order.into_iter().enumerate() {
         let scene = place * test.scenes as usize / total;
@@ -222,137 +228,6 @@ fn plan_test(
         });
     }
     scenes
-}
-
-/// A place of the drone against the vehicle.
-#[derive(Debug, Clone, Copy)]
-struct Station {
-    azimuth_deg: f64,
-    elevation_deg: f64,
-    distance_m: f64,
-}
-
-impl FrameDraft {
-    /// Finds a place near the planned one from where the vehicle can be seen.
-    ///
-    /// The first place is the planned one. Later ones move further and further round and up, with
-    /// the distance anywhere in its stratum; test frames stay on their side and at their distance.
-    /// The first place where both cameras see at least `min_visible` is taken, else the best.
-    pub fn settle(&self, config: &GenerateConfig, rig: &StereoRig, stage: &Stage) -> Capture {
-        let mut rng = Pcg64::seed_from_u64(self.seed);
-        let mut best: Option<(f64, Station, RigPose)> = None;
-        for attempt in 0..ATTEMPTS {
-            let station = self.station(attempt, &mut rng);
-            let Some(pose) = place(&station, rig, stage, &mut rng) else { continue };
-            let visible = Eye::BOTH
-                .map(|eye| Silhouette::estimate_visible(stage, rig, &pose, eye))
-                .into_iter()
-                .fold(1.0, f64::min);
-            if best.as_ref().is_none_or(|(most, ..)| visible > *most) {
-                best = Some((visible, station, pose));
-            }
-            if visible >= config.min_visible {
-                break;
-            }
-        }
-        let (station, pose) = match best {
-            Some((_, station, pose)) => (station, pose),
-            None => self.overhead(stage),
-        };
-        let view = view_of_azimuth(station.azimuth_deg);
-        Capture {
-            row: FrameRow {
-                stamp: self.stamp,
-                split: self.split,
-                scene: Some(self.scene),
-                sun: Some(self.sun.name().to_owned()),
-                view: Some(view),
-                azimuth_deg: Some(station.azimuth_deg),
-                elevation_deg: Some(station.elevation_deg),
-                distance_m: Some(station.distance_m),
-            },
-            pose,
-            sun: self.sun,
-            distance_m: station.distance_m,
-            noise_seed: self.seed,
-        }
-    }
-
-    fn station(&self, attempt: u32, rng: &mut impl Rng) -> Station {
-        let effort = f64::from(attempt) / f64::from(ATTEMPTS);
-        let spread = |limit: f64| 2.0 * limit * effort;
-        let [round, up, along] = [(); 3].map(|()| rng.random_range(-1.0..1.0_f64));
-        let mut azimuth_deg = self.azimuth_deg + round * spread(180.0);
-        if self.side.is_some() {
-            // Test frames were planned within 10 degrees of their axis; 14 more are still that side.
-            azimuth_deg = self.azimuth_deg + round * spread(180.0).min(14.0);
-        }
-        let higher = (HIGHEST_DEG - self.elevation_deg).max(0.0);
-        let elevation_deg = if attempt + 4 >= ATTEMPTS {
-            LAST_RESORT_DEG
-        } else {
-            self.elevation_deg + up.abs() * higher.min(higher * 2.0 * effort)
-        };
-        let round_to = |value: f64| (value * 1e4 + 0.5).floor() / 1e4;
-        let turned = azimuth_deg - 360.0 * ((azimuth_deg + 180.0) / 360.0).floor();
-        Station {
-            // Rounded here, so that the numbers in the files are exactly what was rendered.
-            azimuth_deg: round_to(turned),
-            elevation_deg: round_to(elevation_deg),
-            distance_m: round_to(self.distance_m + along * self.distance_slack_m),
-        }
-    }
-
-    /// Straight down on the vehicle, the one place that is always free.
-    fn overhead(&self, stage: &Stage) -> (Station, RigPose) {
-        let station =
-            Station { azimuth_deg: 0.0, elevation_deg: 90.0, distance_m: self.distance_m };
-        let [x, y, z] = stage.scene().vehicle.center_world;
-        let [forward_x, forward_y, _] = stage.scene().vehicle.forward_world;
-        let pose = RigPose {
-            position_world: [x, y, z + self.distance_m],
-            right_world: [forward_y, -forward_x, 0.0],
-            down_world: [-forward_x, -forward_y, 0.0],
-            forward_world: [0.0, 0.0, -1.0],
-        };
-        (station, pose)
-    }
-}
-
-/// The pose of a drone at a station that looks roughly at the vehicle; None where no drone can be,
-/// or where the vehicle would leave the image.
-fn place(station: &Station, rig: &StereoRig, stage: &Stage, rng: &mut impl Rng) -> Option<RigPose> {
-    let vehicle = &stage.scene().vehicle;
-    let [azimuth, elevation] = [station.azimuth_deg, station.elevation_deg].map(f64::to_radians);
-    let [forward_x, forward_y, _] = vehicle.forward_world;
-    let [sin, cos] = [libm::sin(azimuth), libm::cos(azimuth)];
-    // Azimuth grows towards the vehicle's right, clockwise seen from above.
-    let out = [forward_x * cos + forward_y * sin, forward_y * cos - forward_x * sin];
-    let [up, level] = [libm::sin(elevation), libm::cos(elevation)];
-    let offset = [level * out[0], level * out[1], up];
-    let position = [0, 1, 2].map(|i| vehicle.center_world[i] + station.distance_m * offset[i]);
-
-    // Room around the vehicle's sphere in the image, as tangents.
-    let camera = &rig.left;
-    let radius = vehicle.radius_sphere_m() / station.distance_m;
-    let parallax = 0.5 * rig.baseline_m / station.distance_m;
-    let room_x = (0.5 * f64::from(camera.width) / camera.focal_x_px - parallax - radius).max(0.0);
-    let room_y = (0.5 * f64::from(camera.height) / camera.focal_y_px - radius).max(0.0);
-    let [a, b] = [(); 2].map(|()| rng.random_range(-1.0..1.0_f64));
-    let v = 0.8 * room_y * b;
-    // Near the zenith a level camera can turn only a little away from the vehicle.
-    let most_u = ((0.985 / up).powi(2) - 1.0).max(0.0).sqrt() * (1.0 + v * v).sqrt();
-    let u = 0.8 * room_x.min(most_u) * a;
-    let free = position[2] > CLEARANCE_M && !stage.scene().in_building(position, CLEARANCE_M);
-    if !free || !stage.has_room(position, CLEARANCE_M) {
-        return None;
-    }
-    let pose = RigPose::aimed(position, vehicle.center_world, [u, v])?;
-    let pixels = rig.pixels_from_rig(pose.rig_from_world(vehicle.center_world))?;
-    let inside = pixels.iter().all(|[x, y]| {
-        *x > 0.0 && *x < f64::from(camera.width) && *y > 0.0 && *y < f64::from(camera.height)
-    });
-    inside.then_some(pose)
 }
 
 #[cfg(test)]
@@ -384,8 +259,17 @@ mod tests {
         let drafts = plan_scenes(&config);
         let mut validating = 0;
         for scene in &drafts {
-            assert!(scene.frames.iter().all(|f| f.split == scene.frames[0].split));
-            validating += if scene.frames[0].split == Split::Val { scene.frames.len() } else { 0 };
+            assert!(
+                scene
+                    .frames
+                    .iter()
+                    .all(|f| f.split == scene.frames[0].split)
+            );
+            validating += if scene.frames[0].split == Split::Val {
+                scene.frames.len()
+            } else {
+                0
+            };
         }
         assert_eq!(validating, 60);
     }
@@ -393,9 +277,17 @@ mod tests {
     #[test]
     fn two_frames_are_enough_to_train_on_one_and_validate_on_the_other() {
         for split in [SplitMode::Scene, SplitMode::Frame] {
-            let config = GenerateConfig { frames: 2, val_fraction: 0.5, split, ..GenerateConfig::default() };
-            let mut splits: Vec<Split> =
-                plan_scenes(&config).iter().flat_map(|s| &s.frames).map(|f| f.split).collect();
+            let config = GenerateConfig {
+                frames: 2,
+                val_fraction: 0.5,
+                split,
+                ..GenerateConfig::default()
+            };
+            let mut splits: Vec<Split> = plan_scenes(&config)
+                .iter()
+                .flat_map(|s| &s.frames)
+                .map(|f| f.split)
+                .collect();
             splits.sort();
             assert_eq!(splits, [Split::Train, Split::Val]);
         }
@@ -403,7 +295,11 @@ mod tests {
 
     #[test]
     fn distances_cover_the_range_in_every_scene() {
-        let config = GenerateConfig { frames: 100, frames_per_scene: 10, ..GenerateConfig::default() };
+        let config = GenerateConfig {
+            frames: 100,
+            frames_per_scene: 10,
+            ..GenerateConfig::default()
+        };
         for scene in plan_scenes(&config) {
             let mut bins = [0; 10];
             for frame in &scene.frames {
@@ -415,8 +311,16 @@ mod tests {
 
     #[test]
     fn the_drone_steps_on_by_20_degrees_and_rises_after_each_turn() {
-        let config = GenerateConfig { frames: 72, frames_per_scene: 72, ..GenerateConfig::default() };
-        let frames: Vec<FrameDraft> = plan_scenes(&config).into_iter().flat_map(|s| s.frames).take(36).collect();
+        let config = GenerateConfig {
+            frames: 72,
+            frames_per_scene: 72,
+            ..GenerateConfig::default()
+        };
+        let frames: Vec<FrameDraft> = plan_scenes(&config)
+            .into_iter()
+            .flat_map(|s| s.frames)
+            .take(36)
+            .collect();
         for pair in frames.windows(2) {
             let step = pair[1].azimuth_deg - pair[0].azimuth_deg;
             assert!((15.0..=25.0).contains(&step), "{step}");
@@ -430,8 +334,11 @@ mod tests {
     fn the_papers_test_protocol_is_108_frames_in_scenes_of_their_own() {
         let config = GenerateConfig::preset("paper").unwrap();
         let drafts = plan_scenes(&config);
-        let test: Vec<&FrameDraft> =
-            drafts.iter().flat_map(|s| &s.frames).filter(|f| f.split == Split::Test).collect();
+        let test: Vec<&FrameDraft> = drafts
+            .iter()
+            .flat_map(|s| &s.frames)
+            .filter(|f| f.split == Split::Test)
+            .collect();
         assert_eq!(test.len(), 108);
         assert!(test.iter().all(|f| f.scene >= config.scenes()));
         for frame in test {

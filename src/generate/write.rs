@@ -8,7 +8,8 @@ use image::{ImageEncoder as _, RgbImage};
 
 use super::config::GenerateConfig;
 use crate::dataset::{
-    BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, label_file_text, stamp_name, write_frames_csv,
+    BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, label_file_text, stamp_name,
+    write_frames_csv,
 };
 use crate::error::{Error, Result};
 use crate::files;
@@ -34,10 +35,15 @@ impl Target {
                 return Err(Error::dataset(
                     root,
                     "was begun with other settings or another version of the program",
-                    format!("use the settings in {MARKER}, or delete the folder or choose another one"),
+                    format!(
+                        "use the settings in {MARKER}, or delete the folder or choose another one"
+                    ),
                 ));
             }
-        } else if ["dataset.toml", "frames.csv", "frames"].iter().any(|name| root.join(name).exists()) {
+        } else if ["dataset.toml", "frames.csv", "frames"]
+            .iter()
+            .any(|name| root.join(name).exists())
+        {
             return Err(Error::dataset(
                 root,
                 "already holds a dataset, which is never overwritten",
@@ -46,7 +52,9 @@ impl Target {
         }
         files::create_folder(root.join("frames"))?;
         files::write_atomically(&marker, content.as_bytes())?;
-        Ok(Self { root: root.to_owned() })
+        Ok(Self {
+            root: root.to_owned(),
+        })
     }
 
     fn file(&self, stamp: u64, eye: Eye, extension: &str) -> PathBuf {
@@ -54,23 +62,43 @@ impl Target {
             Eye::Left => "left",
             Eye::Right => "right",
         };
-        self.root.join("frames").join(format!("{side}_{}.{extension}", stamp_name(stamp)))
+        self.root
+            .join("frames")
+            .join(format!("{side}_{}.{extension}", stamp_name(stamp)))
     }
 
     /// Whether all four files of a frame are there; each is written whole or not at all.
     pub fn has_frame(&self, stamp: u64) -> bool {
-        Eye::BOTH.iter().all(|&eye| ["png", "txt"].iter().all(|name| self.file(stamp, eye, name).exists()))
+        Eye::BOTH.iter().all(|&eye| {
+            ["png", "txt"]
+                .iter()
+                .all(|name| self.file(stamp, eye, name).exists())
+        })
     }
 
     /// Writes the image and the labels of one camera.
-    pub fn write_view(&self, stamp: u64, eye: Eye, image: &RgbImage, labels: &[Label]) -> Result<()> {
+    pub fn write_view(
+        &self,
+        stamp: u64,
+        eye: Eye,
+        image: &RgbImage,
+        labels: &[Label],
+    ) -> Result<()> {
         let path = self.file(stamp, eye, "png");
         let mut bytes = Cursor::new(Vec::new());
         PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
-            .write_image(image, image.width(), image.height(), image::ExtendedColorType::Rgb8)
+            .write_image(
+                image,
+                image.width(),
+                image.height(),
+                image::ExtendedColorType::Rgb8,
+            )
             .map_err(|error| Error::image(&path, error.to_string(), "report this as a bug"))?;
         files::write_atomically(&path, bytes.get_ref())?;
-        files::write_atomically(self.file(stamp, eye, "txt"), label_file_text(labels).as_bytes())
+        files::write_atomically(
+            self.file(stamp, eye, "txt"),
+            label_file_text(labels).as_bytes(),
+        )
     }
 
     /// Writes the files that make the folder a dataset.
@@ -97,8 +125,8 @@ fn cannot_encode(path: &Path, error: &dyn std::error::Error) -> Error {
 
 /// How the dataset came about, for `dataset.toml`.
 fn made_by(config: &GenerateConfig) -> Result<toml::Table> {
-    let settings =
-        toml::Table::try_from(config).map_err(|error| cannot_encode(Path::new("dataset.toml"), &error))?;
+    let settings = toml::Table::try_from(config)
+        .map_err(|error| cannot_encode(Path::new("dataset.toml"), &error))?;
     let mut table = toml::Table::new();
     table.insert("program".to_owned(), "twinsight generate".into());
     table.insert("version".to_owned(), env!("CARGO_PKG_VERSION").into());
@@ -107,7 +135,9 @@ fn made_by(config: &GenerateConfig) -> Result<toml::Table> {
 }
 
 fn marker_text(config: &GenerateConfig) -> Result<String> {
-    let table =
-        toml::to_string(&made_by(config)?).map_err(|error| cannot_encode(Path::new(MARKER), &error))?;
-    Ok(format!("# This dataset is unfinished: run the same command again to complete it.\n{table}"))
+    let table = toml::to_string(&made_by(config)?)
+        .map_err(|error| cannot_encode(Path::new(MARKER), &error))?;
+    Ok(format!(
+        "# This dataset is unfinished: run the same command again to complete it.\n{table}"
+    ))
 }

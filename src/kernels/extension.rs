@@ -8,9 +8,10 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::ops::ConvOptions;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, TensorMetadata, backend_extension};
-use burn::tensor::Shape;
+use burn::tensor::{IntDType, Shape, Slice};
 
 use super::conv::Activation;
+use super::pool::TwinInput;
 
 /// Stride, padding and groups of a convolution, the same along both axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -123,6 +124,80 @@ pub trait KernelBackend: Backend {
         let grads = Self::batch_norm_train_backward(input, gamma, mean, variance, epsilon, grad);
         (grads.x_grad, grads.gamma_grad, grads.beta_grad)
     }
+
+    /// 2x2 pooling and ReLU of both pathways, stacked along the batch.
+    fn twin_pool(input: FloatTensor<Self>, kind: TwinInput) -> FloatTensor<Self> {
+        let (kernel, stride, padding) = POOL;
+        let (a, b) = pathways::<Self>(input, kind);
+        let a = Self::max_pool2d(a, kernel, stride, padding, [1, 1], false);
+        let b = Self::avg_pool2d(b, kernel, stride, padding, true, false);
+        Self::relu(Self::float_cat(vec![a, b], 0))
+    }
+
+    /// Gradient of [`KernelBackend::twin_pool`].
+    fn twin_pool_grad(
+        input: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        kind: TwinInput,
+    ) -> FloatTensor<Self> {
+        let (kernel, stride, padding) = POOL;
+        let (a, b) = pathways::<Self>(input, kind);
+        let (grad_a, grad_b) = halves::<Self>(grad);
+        let dilation = [1, 1];
+        let pooled = Self::max_pool2d_with_indices(
+            a.clone(),
+            kernel,
+            stride,
+            padding,
+            dilation,
+            false,
+            IntDType::I32,
+        );
+        let grad_a = Self::relu_backward(pooled.output, grad_a);
+        let grad_a = Self::max_pool2d_with_indices_backward(
+            a,
+            kernel,
+            stride,
+            padding,
+            dilation,
+            false,
+            grad_a,
+            pooled.indices,
+        )
+        .x_grad;
+        let mean = Self::avg_pool2d(b.clone(), kernel, stride, padding, true, false);
+        let grad_b = Self::relu_backward(mean, grad_b);
+        let grad_b = Self::avg_pool2d_backward(b, grad_b, kernel, stride, padding, true, false);
+        match kind {
+            TwinInput::Shared => Self::float_add(grad_a, grad_b),
+            TwinInput::Stacked => Self::float_cat(vec![grad_a, grad_b], 0),
+        }
+    }
+}
+
+/// Settings of every pooling in the ranging network, as Burn's operations take them.
+const POOL: ([usize; 2], [usize; 2], [usize; 2]) = ([2, 2], [2, 2], [0, 0]);
+
+/// The inputs of the maximum and the average pathway.
+fn pathways<B: Backend>(
+    tensor: FloatTensor<B>,
+    kind: TwinInput,
+) -> (FloatTensor<B>, FloatTensor<B>) {
+    match kind {
+        TwinInput::Shared => (tensor.clone(), tensor),
+        TwinInput::Stacked => halves::<B>(tensor),
+    }
+}
+
+/// The first and the second half along the batch.
+fn halves<B: Backend>(tensor: FloatTensor<B>) -> (FloatTensor<B>, FloatTensor<B>) {
+    let shape = tensor.shape();
+    let half = shape[0] / 2;
+    let slices = |start: usize| {
+        let rest = shape.iter().skip(1).map(|&side| Slice::from(0..side));
+        std::iter::once(Slice::from(start..start + half)).chain(rest).collect::<Vec<_>>()
+    };
+    (B::float_slice(tensor.clone(), &slices(0)), B::float_slice(tensor, &slices(half)))
 }
 
 /// The activation from Burn's own operations.
@@ -318,6 +393,31 @@ impl<B: KernelBackend, C: CheckpointStrategy> KernelBackend for Autodiff<B, C> {
             <Self as burn::backend::AutodiffBackend>::from_inner(variance),
         )
     }
+
+    fn twin_pool(input: FloatTensor<Self>, kind: TwinInput) -> FloatTensor<Self> {
+        #[derive(Debug)]
+        struct TwinPool;
+
+        impl<B: KernelBackend> Backward<B, 1> for TwinPool {
+            type State = (FloatTensor<B>, TwinInput);
+
+            fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+                let grad = grads.consume::<B>(&ops.node);
+                let (input, kind) = ops.state;
+                if let [Some(node)] = ops.parents {
+                    grads.register::<B>(node.id, B::twin_pool_grad(input, grad, kind));
+                }
+            }
+        }
+
+        match TwinPool.prepare::<C>([input.node()]).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => {
+                let input = input.into_primitive();
+                prep.finish((input.clone(), kind), B::twin_pool(input, kind))
+            }
+            OpsKind::UnTracked(prep) => prep.finish(B::twin_pool(input.into_primitive(), kind)),
+        }
+    }
 }
 
 #[cfg(feature = "flex")]
@@ -331,6 +431,7 @@ mod flex {
 
     use super::super::conv::{self, Activation};
     use super::super::norm::{self, BatchStatistics, NormShape};
+    use super::super::pool::{self, TwinInput, TwinShape};
     use super::super::shape::ConvShape;
     use super::super::depthwise;
     use super::{ConvGeometry, KernelBackend};
@@ -515,6 +616,25 @@ mod flex {
                 tensor(grads.gamma, [shape.channels]),
                 tensor(grads.beta, [shape.channels]),
             )
+        }
+
+        fn twin_pool(input: Tensor, kind: TwinInput) -> Tensor {
+            let [batch, channels, height, width] = input.shape().dims();
+            let shape = TwinShape { planes: batch * channels, size: [height, width], input: kind };
+            let batch_out = if kind == TwinInput::Shared { 2 * batch } else { batch };
+            let [rows, columns] = shape.pooled();
+            let values = with_values(&input, |input| pool::forward(&shape, input));
+            tensor(values, [batch_out, channels, rows, columns])
+        }
+
+        fn twin_pool_grad(input: Tensor, grad: Tensor, kind: TwinInput) -> Tensor {
+            let dims: [usize; 4] = input.shape().dims();
+            let [batch, channels, height, width] = dims;
+            let shape = TwinShape { planes: batch * channels, size: [height, width], input: kind };
+            let values = with_values(&input, |input| {
+                with_values(&grad, |grad| pool::backward(&shape, input, grad))
+            });
+            tensor(values, dims)
         }
     }
 }

@@ -13,6 +13,7 @@ pub mod conv;
 pub mod depthwise;
 mod extension;
 pub mod norm;
+pub mod pool;
 pub mod shape;
 pub mod simd;
 
@@ -21,6 +22,7 @@ use burn::tensor::Tensor;
 
 pub use conv::Activation;
 pub use extension::{ConvGeometry, KernelBackend};
+pub use pool::TwinInput;
 
 /// Convolution without bias or activation, differentiable.
 ///
@@ -93,4 +95,13 @@ pub fn batch_norm_act(
         mean: Tensor::from_dispatch(mean),
         variance: Tensor::from_dispatch(variance),
     }
+}
+
+/// 2x2 pooling with stride 2 and ReLU of both pathways of the ranging network, differentiable.
+///
+/// # Shapes
+/// - `input`: `[batch, channels, height, width]`, or twice the batch when stacked
+/// - output: `[2 batch, channels, height / 2, width / 2]`, maximum pathway first
+pub fn twin_pool(input: Tensor<4>, kind: TwinInput) -> Tensor<4> {
+    Tensor::from_dispatch(<Dispatch as KernelBackend>::twin_pool(input.into_dispatch(), kind))
 }

@@ -1,9 +1,11 @@
 //! The twin-branch network that turns a composite and a box size into metres.
 
+mod inference;
 mod loss;
 mod merge;
 mod network;
 
+pub use inference::{DistanceEstimator, RangingHeader, Sighting};
 pub use loss::{RangingLoss, ranging_loss};
 pub use merge::compose_convolutions;
 pub use network::{BLOCK_CHANNELS, RangingConfig, RangingFeatures, RangingNetwork};

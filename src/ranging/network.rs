@@ -3,13 +3,12 @@
 use burn::config::Config;
 use burn::module::{Module, Param};
 use burn::tensor::activation::relu;
-use burn::tensor::module::{avg_pool2d, max_pool2d};
 use burn::tensor::{Device, Tensor};
 
 use super::compose_convolutions;
 use crate::dataset::CompositeSize;
 use crate::error::Result;
-use crate::kernels::{self, Activation, ConvGeometry};
+use crate::kernels::{self, Activation, ConvGeometry, TwinInput};
 use crate::nn::{Conv, ConvConfig, Dense, DenseConfig};
 
 /// Channels through the convolutions of each block, its input first (paper, section 5.1).
@@ -45,8 +44,9 @@ pub struct RangingNetwork {
 /// What the network computes on the way to its result.
 #[derive(Debug, Clone)]
 pub struct RangingFeatures {
-    /// Outputs of each block after pooling and ReLU: pathway A (maximum), then B (average).
-    pub blocks: Vec<[Tensor<4>; 2]>,
+    /// Output of each block after pooling and ReLU, `[2 batch, ..]`: pathway A (maximum), then B
+    /// (average).
+    pub blocks: Vec<Tensor<4>>,
     /// Flattened features, A then B, `[batch, features]`.
     pub flat: Tensor<2>,
     /// After the first hidden layer, `[batch, 128]`.
@@ -119,19 +119,14 @@ impl RangingNetwork {
     pub fn features(&self, composite: Tensor<4>) -> RangingFeatures {
         let [batch, ..] = composite.dims();
         let (weight, bias) = self.merged_first_block();
-        let mut x = conv(composite, weight, bias);
-        let mut blocks = Vec::with_capacity(self.blocks.len());
-        for (index, block) in self.blocks.iter().enumerate() {
-            let (a, b) = if index == 0 {
-                (x.clone(), x)
-            } else {
-                let x = block.iter().fold(x, |x, layer| layer.forward(x));
-                (x.clone().narrow(0, 0, batch), x.narrow(0, batch, batch))
-            };
-            let a = relu(max_pool2d(a, [2, 2], [2, 2], [0, 0], [1, 1], false));
-            let b = relu(avg_pool2d(b, [2, 2], [2, 2], [0, 0], true, false));
-            x = Tensor::cat(vec![a.clone(), b.clone()], 0);
-            blocks.push([a, b]);
+        let geometry = ConvGeometry { stride: 1, padding: 0, groups: 1 };
+        let x = kernels::conv2d_act(composite, weight, bias, geometry, Activation::None);
+        let mut x = kernels::twin_pool(x, TwinInput::Shared); // maximum first, then average
+        let mut blocks = vec![x.clone()];
+        for block in &self.blocks[1..] {
+            x = block.iter().fold(x, |x, layer| layer.forward(x));
+            x = kernels::twin_pool(x, TwinInput::Stacked);
+            blocks.push(x.clone());
         }
         let [_, channels, height, width] = x.dims();
         let side = channels * height * width;
@@ -158,11 +153,6 @@ impl RangingNetwork {
         let first = layers.next().unwrap_or_else(|| unreachable!("block without convolutions"));
         layers.fold(first, compose_convolutions)
     }
-}
-
-fn conv(input: Tensor<4>, weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
-    let geometry = ConvGeometry { stride: 1, padding: 0, groups: 1 };
-    kernels::conv2d_act(input, weight, bias, geometry, Activation::None)
 }
 
 #[cfg(test)]

@@ -31,7 +31,8 @@ impl Film {
             let encoded = encode(value);
             // Photon noise grows with the square root of the light, read noise is constant.
             let deviation = self.noise_counts * (0.25 + 0.75 * encoded).sqrt();
-            let noisy = encoded * 255.0 + deviation * normal(seed.wrapping_add(channel.wrapping_mul(0x9e37_79b9)));
+            let noisy = encoded * 255.0
+                + deviation * normal(seed.wrapping_add(channel.wrapping_mul(0x9e37_79b9)));
             (noisy + 0.5).clamp(0.0, 255.0) as u8
         })
     }
@@ -81,9 +82,13 @@ mod tests {
     fn noise_has_mean_zero_and_the_stated_deviation() {
         let draws: Vec<f32> = (0..20_000).map(normal).collect();
         let mean = draws.iter().sum::<f32>() / 20_000.0;
-        let deviation = (draws.iter().map(|d| (d - mean) * (d - mean)).sum::<f32>() / 20_000.0).sqrt();
+        let deviation =
+            (draws.iter().map(|d| (d - mean) * (d - mean)).sum::<f32>() / 20_000.0).sqrt();
         // Four standard errors of 20,000 draws.
-        assert!(mean.abs() < 0.03 && (deviation - 1.0).abs() < 0.03, "{mean} {deviation}");
+        assert!(
+            mean.abs() < 0.03 && (deviation - 1.0).abs() < 0.03,
+            "{mean} {deviation}"
+        );
     }
 
     #[test]

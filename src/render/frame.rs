@@ -41,7 +41,12 @@ pub fn render(
     settings: &RenderSettings,
 ) -> RgbImage {
     let light = Light::of(sun, stage.scene().compass_deg);
-    let view = View { shader: Shader { stage, light }, rig, pose, eye };
+    let view = View {
+        shader: Shader { stage, light },
+        rig,
+        pose,
+        eye,
+    };
     let camera = eye.camera(rig);
     let (width, height) = (camera.width, camera.height);
     let side = settings.samples_per_pixel.isqrt().max(1);
@@ -57,8 +62,13 @@ pub fn render(
     let detail = vehicle_rectangle(stage, rig, pose, eye);
     RgbImage::from_fn(width, height, |x, y| {
         let here = coarse[(y * width + x) as usize];
+
         let refine = side > 1 && (in_box(detail, x, y) || is_edge(&coarse, width, height, x, y));
-        let light = if refine { view.average(x, y, side) } else { here.light };
+        let light = if refine {
+            view.average(x, y, side)
+        } else {
+            here.light
+        };
         image::Rgb(film.develop(light, x, y))
     })
 }
@@ -77,7 +87,8 @@ impl View<'_> {
         let camera = self.eye.camera(self.rig);
         let direction = self.pose.world_from_pixel(camera, [x, y]);
         let origin = self.pose.eye_world(self.rig, self.eye);
-        self.shader.sample(origin, direction, share / camera.focal_x_px as f32)
+        self.shader
+            .sample(origin, direction, share / camera.focal_x_px as f32)
     }
 
     /// The mean of `side` x `side` samples in a pixel.
@@ -86,9 +97,12 @@ impl View<'_> {
         let mut sum = Vec3A::ZERO;
         for row in 0..side {
             for column in 0..side {
-                let [at_x, at_y] =
-                    [(x, column), (y, row)].map(|(p, i)| f64::from(p) + (f64::from(i) + 0.5) * step);
-                sum += self.sample(at_x, at_y, step as f32).light.min(Vec3A::splat(BRIGHTEST));
+                let [at_x, at_y] = [(x, column), (y, row)]
+                    .map(|(p, i)| f64::from(p) + (f64::from(i) + 0.5) * step);
+                sum += self
+                    .sample(at_x, at_y, step as f32)
+                    .light
+                    .min(Vec3A::splat(BRIGHTEST));
             }
         }
         sum / (side * side) as f32

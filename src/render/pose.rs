@@ -86,13 +86,15 @@ impl RigPose {
 
     /// A direction of the world in rig axes.
     pub fn rig_direction_from_world(&self, direction_world: [f64; 3]) -> [f64; 3] {
-        [self.right_world, self.down_world, self.forward_world].map(|axis| dot(axis, direction_world))
+        [self.right_world, self.down_world, self.forward_world]
+            .map(|axis| dot(axis, direction_world))
     }
 
     /// Where an eye is in the world.
     pub(crate) fn eye_world(&self, rig: &StereoRig, eye: Eye) -> Vec3A {
         let offset = eye.offset_m(rig);
-        let place = [0, 1, 2].map(|i| (self.position_world[i] + offset * self.right_world[i]) as f32);
+        let place =
+            [0, 1, 2].map(|i| (self.position_world[i] + offset * self.right_world[i]) as f32);
         Vec3A::from_array(place)
     }
 
@@ -101,7 +103,8 @@ impl RigPose {
         let [x, y, _] = camera.camera_from_pixel(pixel);
         let scale = 1.0 / (x * x + y * y + 1.0).sqrt();
         let direction = [0, 1, 2].map(|i| {
-            ((self.right_world[i] * x + self.down_world[i] * y + self.forward_world[i]) * scale) as f32
+            ((self.right_world[i] * x + self.down_world[i] * y + self.forward_world[i]) * scale)
+                as f32
         });
         Vec3A::from_array(direction)
     }
@@ -125,7 +128,14 @@ mod tests {
                 assert!((x / z - aim[0]).abs() < 1e-9 && (y / z - aim[1]).abs() < 1e-9);
                 assert!(z > 0.0);
                 let [r, d, f] = [pose.right_world, pose.down_world, pose.forward_world];
-                for (a, b, wanted) in [(r, r, 1.0), (d, d, 1.0), (f, f, 1.0), (r, d, 0.0), (d, f, 0.0), (f, r, 0.0)] {
+                for (a, b, wanted) in [
+                    (r, r, 1.0),
+                    (d, d, 1.0),
+                    (f, f, 1.0),
+                    (r, d, 0.0),
+                    (d, f, 0.0),
+                    (f, r, 0.0),
+                ] {
                     assert!((dot(a, b) - wanted).abs() < 1e-12);
                 }
                 // Right-handed: x cross y is z.

@@ -59,7 +59,10 @@ impl Shader<'_> {
 
     fn trace(&self, origin: Vec3A, direction: Vec3A, angle: f32, kind: RayKind) -> Sample {
         let Some(hit) = self.stage.nearest(origin, direction) else {
-            return Sample { light: self.sky(direction, angle, kind), face: SKY_FACE };
+            return Sample {
+                light: self.sky(direction, angle, kind),
+                face: SKY_FACE,
+            };
         };
         let (point, face) = self.point(origin, direction, angle, &hit);
         let mut light = self.reflect(&point, direction, hit.t, kind);
@@ -73,11 +76,22 @@ impl Shader<'_> {
         if kind == RayKind::Mirrored || direction.z < 0.02 {
             return sky;
         }
-        let sun_disc = if direction.dot(self.light.direction) > 0.9997 { 8.0 } else { 0.0 };
+        let sun_disc = if direction.dot(self.light.direction) > 0.9997 {
+            8.0
+        } else {
+            0.0
+        };
         // Clouds on a flat layer; their detail shrinks towards the horizon with its distance.
         let scale = 1.0 / (direction.z + 0.08);
         let seed = self.stage.scene.vehicle.seed;
-        let cloud = fractal(direction.x * scale, direction.y * scale, 1.6, 5, angle * scale * scale, seed);
+        let cloud = fractal(
+            direction.x * scale,
+            direction.y * scale,
+            1.6,
+            5,
+            angle * scale * scale,
+            seed,
+        );
         let cover = smooth_step(0.05, 0.65, cloud) * smooth_step(0.02, 0.2, direction.z) * 0.75;
         let white = self.light.horizon * 0.55 + self.light.sun * 0.22;
         sky + (white - sky) * cover + self.light.sun * sun_disc
@@ -89,24 +103,51 @@ impl Shader<'_> {
             return (self.ground(at, hit.t * angle, -direction.z), GROUND_FACE);
         };
         let smooth = smooth_normal(triangle, at);
-        let normal = if smooth.dot(direction) > 0.0 { -smooth } else { smooth };
+        let normal = if smooth.dot(direction) > 0.0 {
+            -smooth
+        } else {
+            smooth
+        };
         let facing = normal.dot(direction).abs();
         let footprint_m = hit.t * angle * stretch(facing);
         let point = self.surface(triangle.surface, at, normal, footprint_m);
         let face = triangle.face + GROUND_FACE;
-        (point, if hit.object == Object::Vehicle { face | VEHICLE_FACES } else { face })
+        (
+            point,
+            if hit.object == Object::Vehicle {
+                face | VEHICLE_FACES
+            } else {
+                face
+            },
+        )
     }
 
     fn ground(&self, at: Vec3A, width_m: f32, facing: f32) -> Point {
-        let albedo = ground::albedo(&self.stage.scene.city.layout, at.x, at.y, width_m * stretch(facing));
+        let albedo = ground::albedo(
+            &self.stage.scene.city.layout,
+            at.x,
+            at.y,
+            width_m * stretch(facing),
+        );
         // Under and close beside the vehicle the sky is hidden.
         let vehicle = &self.stage.scene.vehicle;
         let local = vehicle.vehicle_from_world(at);
         let [length, width, _] = vehicle.size_m.map(|v| v as f32 * 0.5);
-        let [dx, dy] = [(local.x.abs() - length * 0.93).max(0.0), (local.y.abs() - width * 0.80).max(0.0)];
+        let [dx, dy] = [
+            (local.x.abs() - length * 0.93).max(0.0),
+            (local.y.abs() - width * 0.80).max(0.0),
+        ];
         let apart = (dx * dx + dy * dy).sqrt();
         let open = mix(0.12, 1.0, (apart / (apart + 0.25)).min(1.0));
-        Point { at, normal: Vec3A::Z, albedo, mirror: 0.0, gloss: 0.0, open, translucent: false }
+        Point {
+            at,
+            normal: Vec3A::Z,
+            albedo,
+            mirror: 0.0,
+            gloss: 0.0,
+            open,
+            translucent: false,
+        }
     }
 
     fn surface(&self, surface: Surface, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Point {
@@ -125,12 +166,17 @@ impl Shader<'_> {
         match surface {
             Surface::Wall(index) => {
                 let look = scene.city.buildings[usize::from(index)].wall(at, normal, footprint_m);
-                Point { mirror: 0.06, gloss: look.glass, ..matt(look.albedo, canyon) }
+                Point {
+                    mirror: 0.06,
+                    gloss: look.glass,
+                    ..matt(look.albedo, canyon)
+                }
             }
-            Surface::Roof(index) => {
-                matt(scene.city.buildings[usize::from(index)].roof(at, normal, footprint_m), 1.0)
-            }
-            Surface::Foliage(tint) => self.foliage(tint, at, normal, footprint_m),
+            Surface::Roof(index) => matt(
+                scene.city.buildings[usize::from(index)].roof(at, normal, footprint_m),
+                1.0,
+            ),
+            Surface::Foliage(tint) => foliage(tint, at, normal, footprint_m),
             Surface::Bark => {
                 let grain = fractal(at.x * 3.0 + at.y * 3.0, at.z, 0.4, 2, footprint_m, 5);
                 matt(Vec3A::new(0.12, 0.09, 0.065) * (1.0 + 0.4 * grain), 0.8)
@@ -139,44 +185,41 @@ impl Shader<'_> {
                 let grain = fractal(at.x + at.z, at.y - at.z, 0.8, 3, footprint_m, 11);
                 matt(Vec3A::new(0.26, 0.27, 0.28) * (1.0 + 0.25 * grain), 0.9)
             }
+            Surface::Sign => {
+                // Each sign has a colour of its own; signs are further apart than this lattice.
+                let pick =
+                    noise::hash((at.x / 1.5).round() as i32, (at.y / 1.5).round() as i32, 21) % 3;
+                let colors = [[0.42, 0.02, 0.02], [0.02, 0.09, 0.40], [0.55, 0.55, 0.52]];
+                matt(Vec3A::from_array(colors[pick as usize]), 1.0)
+            }
             Surface::Vehicle(part) => {
                 let vehicle = &scene.vehicle;
                 let local = vehicle.vehicle_from_world(at);
                 let local_normal = vehicle.vehicle_direction_from_world(normal);
                 let finish = livery::finish(vehicle, part, local, local_normal, footprint_m);
-                let low = if part == VehiclePart::Wheel { 0.30 } else { 0.42 };
+                let low = if part == VehiclePart::Wheel {
+                    0.30
+                } else {
+                    0.42
+                };
                 let open = mix(low, 1.0, smooth_step(0.0, 0.9, at.z));
-                Point { mirror: finish.mirror, gloss: 1.0, ..matt(finish.albedo, open) }
+                Point {
+                    mirror: finish.mirror,
+                    gloss: 1.0,
+                    ..matt(finish.albedo, open)
+                }
             }
-        }
-    }
-
-    fn foliage(&self, tint: u16, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Point {
-        let seed = u32::from(tint) * 31 + 7;
-        let [u, v] = [at.x + 0.61 * at.z, at.y - 0.73 * at.z];
-        let clumps = fractal(u, v, 0.9, 4, footprint_m, seed);
-        let tilt = Vec3A::new(
-            fractal(u, v, 0.5, 2, footprint_m, seed ^ 1),
-            fractal(u, v, 0.5, 2, footprint_m, seed ^ 2),
-            0.2,
-        );
-        let warm = noise::unit(noise::hash(i32::from(tint), 3, 8));
-        let green = Vec3A::new(0.045 + 0.06 * warm, 0.095 + 0.015 * warm, 0.026);
-        Point {
-            at,
-            normal: (normal + tilt * 0.8).normalize_or_zero(),
-            albedo: green * (1.0 + 0.6 * clumps).max(0.1),
-            mirror: 0.0,
-            gloss: 0.0,
-            open: mix(0.35, 1.0, smooth_step(-0.8, 0.9, normal.z)) * (1.0 + 0.3 * clumps).max(0.2),
-            translucent: true,
         }
     }
 
     /// Light sent back by a point: sun, sky and what it mirrors.
     fn reflect(&self, point: &Point, direction: Vec3A, t: f32, kind: RayKind) -> Vec3A {
         let toward_sun = point.normal.dot(self.light.direction);
-        let sunny = if point.translucent { (toward_sun * 0.7 + 0.3).max(0.0) } else { toward_sun.max(0.0) };
+        let sunny = if point.translucent {
+            (toward_sun * 0.7 + 0.3).max(0.0)
+        } else {
+            toward_sun.max(0.0)
+        };
         // Starting a little off the surface keeps a point from shading itself.
         let start = point.at + point.normal * (0.004 + t * 4e-5);
         // What a curved mirror shows is small: shadows in it are not worth their rays.
@@ -211,6 +254,29 @@ impl Shader<'_> {
         let sky = self.light.sky(mirrored);
         let street = self.light.ambient(Vec3A::Z) * 0.28;
         street + (sky - street) * smooth_step(0.05, 0.35, mirrored.z)
+    }
+}
+
+/// Leaves: clumps of light and shade with normals in all directions.
+fn foliage(tint: u16, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Point {
+    let seed = u32::from(tint) * 31 + 7;
+    let [u, v] = [at.x + 0.61 * at.z, at.y - 0.73 * at.z];
+    let clumps = fractal(u, v, 0.9, 4, footprint_m, seed);
+    let tilt = Vec3A::new(
+        fractal(u, v, 0.5, 2, footprint_m, seed ^ 1),
+        fractal(u, v, 0.5, 2, footprint_m, seed ^ 2),
+        0.2,
+    );
+    let warm = noise::unit(noise::hash(i32::from(tint), 3, 8));
+    let green = Vec3A::new(0.045 + 0.06 * warm, 0.095 + 0.015 * warm, 0.026);
+    Point {
+        at,
+        normal: (normal + tilt * 0.8).normalize_or_zero(),
+        albedo: green * (1.0 + 0.6 * clumps).max(0.1),
+        mirror: 0.0,
+        gloss: 0.0,
+        open: mix(0.35, 1.0, smooth_step(-0.8, 0.9, normal.z)) * (1.0 + 0.3 * clumps).max(0.2),
+        translucent: true,
     }
 }
 

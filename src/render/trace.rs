@@ -2,8 +2,8 @@
 
 use glam::Vec3A;
 use obvhs::BvhBuildParams;
-use obvhs::bvh2::Bvh2;
-use obvhs::bvh2::builder::build_bvh2_from_tris;
+use obvhs::cwbvh::CwBvh;
+use obvhs::cwbvh::builder::build_cwbvh_from_tris;
 use obvhs::ray::{Ray, RayHit};
 
 use crate::world::Scene;
@@ -52,7 +52,7 @@ impl std::fmt::Debug for Stage {
 
 /// Triangles under a bounding volume hierarchy, in the order of its leaves.
 struct Tree {
-    bvh: Bvh2,
+    bvh: CwBvh,
     /// A corner and the two edges from it.
     edges: Vec<[Vec3A; 3]>,
     triangles: Vec<Triangle>,
@@ -62,11 +62,22 @@ impl Tree {
     fn new(triangles: &[Triangle]) -> Self {
         let bare: Vec<obvhs::triangle::Triangle> = triangles
             .iter()
-            .map(|t| obvhs::triangle::Triangle { v0: t.vertices[0], v1: t.vertices[1], v2: t.vertices[2] })
+            .map(|t| obvhs::triangle::Triangle {
+                v0: t.vertices[0],
+                v1: t.vertices[1],
+                v2: t.vertices[2],
+            })
             .collect();
-        let bvh = build_bvh2_from_tris(&bare, BvhBuildParams::medium_build(), &mut std::time::Duration::ZERO.clone());
-        let triangles: Vec<Triangle> =
-            bvh.primitive_indices.iter().map(|&index| triangles[index as usize]).collect();
+        let bvh = build_cwbvh_from_tris(
+            &bare,
+            BvhBuildParams::slow_build(),
+            &mut std::time::Duration::ZERO.clone(),
+        );
+        let triangles: Vec<Triangle> = bvh
+            .primitive_indices
+            .iter()
+            .map(|&index| triangles[index as usize])
+            .collect();
         let edges = triangles
             .iter()
             .map(|t| {
@@ -74,7 +85,11 @@ impl Tree {
                 [a, b - a, c - a]
             })
             .collect();
-        Self { bvh, edges, triangles }
+        Self {
+            bvh,
+            edges,
+            triangles,
+        }
     }
 
     /// Distance to a triangle, infinite where the ray misses it.
@@ -90,7 +105,11 @@ impl Tree {
         let t = edge_2.dot(q) * scale;
         // A ray in the triangle's plane divides by zero; every comparison with NaN is false.
         let inside = u >= -EDGE_TOLERANCE && v >= -EDGE_TOLERANCE && u + v <= 1.0 + EDGE_TOLERANCE;
-        if inside && t >= ray.tmin { t } else { f32::INFINITY }
+        if inside && t >= ray.tmin {
+            t
+        } else {
+            f32::INFINITY
+        }
     }
 
     fn nearest(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<(f32, u32)> {
@@ -103,7 +122,8 @@ impl Tree {
 
     fn is_free(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
         let ray = Ray::new(origin, direction, NEAREST_M, limit);
-        self.bvh.ray_traverse_miss(ray, |ray, index| self.intersect(ray, index))
+        self.bvh
+            .ray_traverse_miss(ray, |ray, index| self.intersect(ray, index))
     }
 }
 
@@ -113,7 +133,11 @@ impl Stage {
         // The trees keep the triangles in an order of their own.
         let city = Tree::new(&std::mem::take(&mut scene.city.mesh.triangles));
         let vehicle = Tree::new(&std::mem::take(&mut scene.vehicle.triangles));
-        Self { scene, city, vehicle }
+        Self {
+            scene,
+            city,
+            vehicle,
+        }
     }
 
     /// The scene.
@@ -140,12 +164,20 @@ impl Stage {
         let mut nearest = None;
         if ground > NEAREST_M {
             limit = ground;
-            nearest = Some(Hit { t: ground, object: Object::Ground, triangle: 0 });
+            nearest = Some(Hit {
+                t: ground,
+                object: Object::Ground,
+                triangle: 0,
+            });
         }
         for (tree, object) in [(&self.vehicle, Object::Vehicle), (&self.city, Object::City)] {
             if let Some((t, triangle)) = tree.nearest(origin, direction, limit) {
                 limit = t;
-                nearest = Some(Hit { t, object, triangle });
+                nearest = Some(Hit {
+                    t,
+                    object,
+                    triangle,
+                });
             }
         }
         nearest
@@ -153,7 +185,9 @@ impl Stage {
 
     /// The vehicle alone: distance along the ray, if it hits.
     pub(crate) fn vehicle_distance(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
-        self.vehicle.nearest(origin, direction, f32::INFINITY).map(|(t, _)| t)
+        self.vehicle
+            .nearest(origin, direction, f32::INFINITY)
+            .map(|(t, _)| t)
     }
 
     /// Whether nothing of the city stands within `limit` metres along a ray.
@@ -199,7 +233,10 @@ mod tests {
                 .fold(f32::INFINITY, f32::min);
             let fast = stage.city.nearest(origin, direction, f32::INFINITY);
             assert_eq!(fast.map_or(f32::INFINITY, |(t, _)| t), slow);
-            assert_eq!(stage.city.is_free(origin, direction, f32::INFINITY), fast.is_none());
+            assert_eq!(
+                stage.city.is_free(origin, direction, f32::INFINITY),
+                fast.is_none()
+            );
         }
     }
 }

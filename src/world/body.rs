@@ -3,12 +3,14 @@
 use glam::Vec3A;
 
 use super::mesh::{Mesh, Surface, VehiclePart};
-use super::noise::{mix, smooth_step};
+use super::noise::mix;
 use super::vehicle::{BodyStyle, Shape};
 
 /// Height of the window line along the car, where the cabin stands on the lower body.
 pub(crate) fn belt_height(shape: &Shape, part: f32) -> f32 {
-    let bonnet = mix(shape.nose, shape.cowl, smooth_step(0.0, 1.0, part / shape.cowl_part));
+    // A bonnet rises steeply behind the bumper and then ever less.
+    let ahead = (1.0 - part / shape.cowl_part).max(0.0);
+    let bonnet = mix(shape.cowl, shape.nose, ahead * ahead);
     let side = mix(
         shape.cowl,
         shape.deck,
@@ -32,7 +34,11 @@ impl CabinOutline {
     pub fn at(shape: &Shape, s: f32) -> Self {
         let front = mix(shape.x(shape.cowl_part), shape.x(shape.roof_front_part), s);
         let rear = mix(shape.x(shape.deck_part), shape.x(shape.roof_rear_part), s);
-        let narrow = if shape.style == BodyStyle::Van { 0.90 } else { 0.80 };
+        let narrow = if shape.style == BodyStyle::Van {
+            0.90
+        } else {
+            0.80
+        };
         Self {
             middle_x: f32::midpoint(front, rear),
             half_length: (front - rear) * 0.5,
@@ -43,7 +49,12 @@ impl CabinOutline {
 
 /// Height of the roof's rail, where windows end.
 pub(crate) fn rail_height(shape: &Shape) -> f32 {
-    shape.height - if shape.style == BodyStyle::Van { 0.22 } else { 0.12 }
+    shape.height
+        - if shape.style == BodyStyle::Van {
+            0.22
+        } else {
+            0.12
+        }
 }
 
 /// The whole car in vehicle axes, origin on the ground.
@@ -59,8 +70,8 @@ pub(crate) fn build(shape: &Shape) -> Mesh {
 fn lower_body(mesh: &mut Mesh, shape: &Shape) {
     // Stations crowd at the ends, where bumpers curve.
     const STATIONS: [f32; 27] = [
-        0.0, 0.004, 0.012, 0.025, 0.045, 0.07, 0.11, 0.16, 0.21, 0.26, 0.32, 0.38, 0.44, 0.50, 0.56, 0.62,
-        0.68, 0.74, 0.80, 0.85, 0.89, 0.925, 0.95, 0.97, 0.985, 0.995, 1.0,
+        0.0, 0.004, 0.012, 0.025, 0.045, 0.07, 0.11, 0.16, 0.21, 0.26, 0.32, 0.38, 0.44, 0.50,
+        0.56, 0.62, 0.68, 0.74, 0.80, 0.85, 0.89, 0.925, 0.95, 0.97, 0.985, 0.995, 1.0,
     ];
     // Half a cross-section from the middle of the floor up to the middle of the bonnet:
     // part of the half width, part of the height.
@@ -86,7 +97,11 @@ fn lower_body(mesh: &mut Mesh, shape: &Shape) {
             let low = shape.clearance + 0.10 * ends * ends;
             let high = belt_height(shape, part) - 0.16 * ends * ends;
             let point = |[across, up]: [f32; 2], side: f32| {
-                Vec3A::new(shape.x(part), side * across * half_width, mix(low, high, up))
+                Vec3A::new(
+                    shape.x(part),
+                    side * across * half_width,
+                    mix(low, high, up),
+                )
             };
             let left = SECTION.iter().map(|&p| point(p, 1.0));
             let right = SECTION[1..9].iter().rev().map(|&p| point(p, -1.0));

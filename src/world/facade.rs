@@ -66,13 +66,18 @@ const WALLS: [[f32; 3]; 12] = [
 
 impl Building {
     /// A building of this footprint and height in a random style.
-    pub fn draw(low: [f32; 2], high: [f32; 2], height: f32, ridge: f32, rng: &mut impl Rng) -> Self {
+    pub fn draw(
+        low: [f32; 2],
+        high: [f32; 2],
+        height: f32,
+        ridge: f32,
+        rng: &mut impl Rng,
+    ) -> Self {
         let tall = height > 16.0;
         let texture = match rng.random_range(0..10_u32) {
             0..4 => WallTexture::Plaster,
             4..7 => WallTexture::Brick,
-            7..8 if tall => WallTexture::Curtain,
-            8 if tall => WallTexture::Curtain,
+            7..9 if tall => WallTexture::Curtain,
             _ => WallTexture::Panels,
         };
         let curtain = texture == WallTexture::Curtain;
@@ -82,11 +87,19 @@ impl Building {
         };
         let frame = if rng.random_bool(0.6) { 0.62 } else { 0.07 };
         let roof = if ridge > 0.0 {
-            [[0.30, 0.11, 0.065], [0.20, 0.085, 0.06], [0.11, 0.11, 0.115], [0.17, 0.125, 0.095]]
-                [rng.random_range(0..4_usize)]
+            [
+                [0.30, 0.11, 0.065],
+                [0.20, 0.085, 0.06],
+                [0.11, 0.11, 0.115],
+                [0.17, 0.125, 0.095],
+            ][rng.random_range(0..4_usize)]
         } else {
-            [[0.22, 0.215, 0.20], [0.30, 0.29, 0.27], [0.12, 0.12, 0.125], [0.26, 0.23, 0.19]]
-                [rng.random_range(0..4_usize)]
+            [
+                [0.22, 0.215, 0.20],
+                [0.30, 0.29, 0.27],
+                [0.12, 0.12, 0.125],
+                [0.26, 0.23, 0.19],
+            ][rng.random_range(0..4_usize)]
         };
         let style = Style {
             wall: Vec3A::from_array(wall) * rng.random_range(0.8..1.15_f32),
@@ -94,20 +107,39 @@ impl Building {
             roof: Vec3A::from_array(roof),
             texture,
             floor_m: rng.random_range(2.9..3.7_f32),
-            bay_m: if curtain { 1.6 } else { rng.random_range(2.2..4.2_f32) },
+            bay_m: if curtain {
+                1.6
+            } else {
+                rng.random_range(2.2..4.2_f32)
+            },
             window: if curtain {
                 [0.93, 0.80]
             } else {
-                [rng.random_range(0.32..0.62_f32), rng.random_range(0.42..0.62_f32)]
+                [
+                    rng.random_range(0.32..0.62_f32),
+                    rng.random_range(0.42..0.62_f32),
+                ]
             },
             seed: rng.random(),
         };
-        Self { low, high, height, ridge, style }
+        Self {
+            low,
+            high,
+            height,
+            ridge,
+            style,
+        }
     }
 
     /// The wall at a point, seen with this footprint; `normal` tells which of the four walls it is.
     pub fn wall(&self, point: Vec3A, normal: Vec3A, footprint_m: f32) -> Look {
-        let Style { floor_m, bay_m, window, seed, .. } = self.style;
+        let Style {
+            floor_m,
+            bay_m,
+            window,
+            seed,
+            ..
+        } = self.style;
         let faces_x = normal.x.abs() > normal.y.abs();
         let (u, length) = if faces_x {
             (point.y - self.low[1], self.high[1] - self.low[1])
@@ -126,8 +158,19 @@ impl Building {
         let start_u = 0.5 * bay_m * (1.0 - part_u);
         let start_z = floor_m * (1.0 - part_z) * if ground_floor { 0.25 } else { 0.6 };
         let spread = |border: f32| {
-            stripes(u, bay_m, start_u - border, bay_m * part_u + 2.0 * border, footprint_m)
-                * stripes(z, floor_m, start_z - border, floor_m * part_z + 2.0 * border, footprint_m)
+            stripes(
+                u,
+                bay_m,
+                start_u - border,
+                bay_m * part_u + 2.0 * border,
+                footprint_m,
+            ) * stripes(
+                z,
+                floor_m,
+                start_z - border,
+                floor_m * part_z + 2.0 * border,
+                footprint_m,
+            )
         };
         let blank = under_eaves || self.height < 2.5;
         let glass = if blank { 0.0 } else { spread(0.0) };
@@ -136,11 +179,16 @@ impl Building {
         let bar = stripes(u, bay_m, 0.5 * bay_m - 0.035, 0.07, footprint_m);
         let glass = glass * (1.0 - bar);
 
-        let cell = noise::hash((u / bay_m).floor() as i32, (z / floor_m).floor() as i32, side);
+        let cell = noise::hash(
+            (u / bay_m).floor() as i32,
+            (z / floor_m).floor() as i32,
+            side,
+        );
         let vivid = (1.5 - footprint_m / bay_m).clamp(0.0, 1.0);
         let room = self.room(cell, u, z) * vivid + Vec3A::new(0.075, 0.08, 0.085) * (1.0 - vivid);
         let wall = self.wall_color(u, z, side, footprint_m);
-        let albedo = wall * (1.0 - framed) + self.style.frame * (framed - glass).max(0.0) + room * glass;
+        let albedo =
+            wall * (1.0 - framed) + self.style.frame * (framed - glass).max(0.0) + room * glass;
         Look { albedo, glass }
     }
 
@@ -159,7 +207,12 @@ impl Building {
     }
 
     fn wall_color(&self, u: f32, z: f32, side: u32, footprint_m: f32) -> Vec3A {
-        let Style { wall, texture, floor_m, .. } = self.style;
+        let Style {
+            wall,
+            texture,
+            floor_m,
+            ..
+        } = self.style;
         let dirt = fractal(u, z, 4.0, 4, footprint_m, side);
         let base = wall * (1.0 + 0.2 * dirt);
         match texture {
@@ -171,18 +224,36 @@ impl Building {
             WallTexture::Brick => {
                 let row = (z / 0.08).floor();
                 let shifted = u + 0.11 * (row % 2.0);
-                let mortar =
-                    stripes(z, 0.08, 0.0, 0.012, footprint_m).max(stripes(shifted, 0.22, 0.0, 0.012, footprint_m));
-                let brick = noise::unit(noise::hash((shifted / 0.22).floor() as i32, row as i32, side));
+                let mortar = stripes(z, 0.08, 0.0, 0.012, footprint_m).max(stripes(
+                    shifted,
+                    0.22,
+                    0.0,
+                    0.012,
+                    footprint_m,
+                ));
+                let brick = noise::unit(noise::hash(
+                    (shifted / 0.22).floor() as i32,
+                    row as i32,
+                    side,
+                ));
                 let tint = 0.45 * (brick - 0.5) * (1.4 - footprint_m / 0.15).clamp(0.0, 1.0);
                 // Bonds of many bricks keep some contrast when single bricks are too small to see.
                 let bond = 0.22 * fractal(u, z, 1.3, 2, footprint_m, side ^ 0x15);
                 base * (1.0 + tint + bond) * (1.0 - mortar) + Vec3A::splat(0.34) * mortar
             }
             WallTexture::Panels => {
-                let joints =
-                    stripes(u, 2.4, 0.0, 0.05, footprint_m).max(stripes(z, floor_m, 0.0, 0.06, footprint_m));
-                let panel = noise::hash((u / 2.4).floor() as i32, (z / floor_m).floor() as i32, side ^ 0x17);
+                let joints = stripes(u, 2.4, 0.0, 0.05, footprint_m).max(stripes(
+                    z,
+                    floor_m,
+                    0.0,
+                    0.06,
+                    footprint_m,
+                ));
+                let panel = noise::hash(
+                    (u / 2.4).floor() as i32,
+                    (z / floor_m).floor() as i32,
+                    side ^ 0x17,
+                );
                 base * (0.92 + 0.16 * noise::unit(panel)) * (1.0 - 0.5 * joints)
             }
             WallTexture::Curtain => base * 0.55,
@@ -197,9 +268,17 @@ impl Building {
             // Rows of tiles run level, so they repeat with height.
             let slope = (1.0 - normal.z * normal.z).sqrt().max(0.2);
             let rows = stripes(point.z / slope, 0.33, 0.0, 0.07, footprint_m);
-            let along = if normal.x.abs() > normal.y.abs() { point.y } else { point.x };
+            let along = if normal.x.abs() > normal.y.abs() {
+                point.y
+            } else {
+                point.x
+            };
             let columns = stripes(along, 0.26, 0.0, 0.04, footprint_m);
-            let tile = noise::hash((point.z / slope / 0.33).floor() as i32, (along / 0.26).floor() as i32, seed);
+            let tile = noise::hash(
+                (point.z / slope / 0.33).floor() as i32,
+                (along / 0.26).floor() as i32,
+                seed,
+            );
             let tint = (noise::unit(tile) - 0.5) * (1.4 - footprint_m / 0.3).clamp(0.0, 1.0);
             return roof * (1.0 + 0.3 * stains + 0.5 * tint) * (1.0 - 0.5 * rows.max(columns));
         }
@@ -212,6 +291,10 @@ impl Building {
         let flat = roof * (1.0 + 0.3 * stains + 0.22 * gravel) * (1.0 - 0.25 * sheets);
         // Parapet capping along the edge.
         let capping = if edge < 0.35 { 1.0 } else { 0.0 };
-        Vec3A::new(mix(flat.x, 0.42, capping), mix(flat.y, 0.41, capping), mix(flat.z, 0.39, capping))
+        Vec3A::new(
+            mix(flat.x, 0.42, capping),
+            mix(flat.y, 0.41, capping),
+            mix(flat.z, 0.39, capping),
+        )
     }
 }

@@ -38,7 +38,13 @@ fn asphalt(x: f32, y: f32, footprint_m: f32, seed: u32) -> Vec3A {
     Vec3A::new(1.0, 0.99, 0.97) * level
 }
 
-fn road(layout: &Layout, at: [f32; 2], across: [Nearest; 2], on_road: [bool; 2], footprint_m: f32) -> Vec3A {
+fn road(
+    layout: &Layout,
+    at: [f32; 2],
+    across: [Nearest; 2],
+    on_road: [bool; 2],
+    footprint_m: f32,
+) -> Vec3A {
     let [x, y] = at;
     let surface = asphalt(x, y, footprint_m, layout.seed);
     if on_road[0] && on_road[1] {
@@ -53,7 +59,8 @@ fn road(layout: &Layout, at: [f32; 2], across: [Nearest; 2], on_road: [bool; 2],
 
     // Tyres polish two tracks in each lane.
     let in_lane = side.abs() % lane;
-    let track = stripe(in_lane, lane * 0.27, 0.28, footprint_m) + stripe(in_lane, lane * 0.73, 0.28, footprint_m);
+    let track = stripe(in_lane, lane * 0.27, 0.28, footprint_m)
+        + stripe(in_lane, lane * 0.73, 0.28, footprint_m);
     let oil = stripe(in_lane, lane * 0.5, 0.35, footprint_m);
     let mut color = surface * (1.0 - 0.13 * track - 0.08 * oil);
 
@@ -68,18 +75,42 @@ fn road(layout: &Layout, at: [f32; 2], across: [Nearest; 2], on_road: [bool; 2],
             paint += line(0.0) * stripes(along, 6.0, 0.0, 3.0, footprint_m);
         }
         paint += line(0.3 - half_width) + line(half_width - 0.3);
-        paint += stripe(to_crossing, 5.1, 0.22, footprint_m) * f32::from(u8::from(side.abs() < half_width - 0.4));
+        paint += stripe(to_crossing, 5.1, 0.22, footprint_m)
+            * f32::from(u8::from(side.abs() < half_width - 0.4));
     } else if (0.7..3.9).contains(&to_crossing) {
         paint += stripes(side, 1.1, 0.3, 0.55, footprint_m);
     }
     let wear = 0.78 + 0.3 * fractal(x, y, 0.7, 3, footprint_m, layout.seed ^ 0x9);
     color += (Vec3A::new(0.62, 0.61, 0.57) - color) * (paint.min(1.0) * wear.clamp(0.0, 1.0));
+    if let Some(cover) = manhole(at, layout.seed) {
+        color = cover;
+    }
     // Dirt gathers in the gutter.
     color * (1.0 - 0.35 * smooth_step(half_width - 0.45, half_width, side.abs()))
 }
 
+/// The colour of the manhole cover at a point, if there is one.
+fn manhole([x, y]: [f32; 2], seed: u32) -> Option<Vec3A> {
+    const CELL_M: f32 = 7.0;
+    let cell = [x, y].map(|v| (v / CELL_M).floor());
+    let draw = noise::hash(cell[0] as i32, cell[1] as i32, seed ^ 0x4d);
+    if !draw.is_multiple_of(5) {
+        return None;
+    }
+    let center =
+        [draw >> 8, draw >> 16].map(|bits| CELL_M * (0.2 + 0.6 * f32::from(bits as u8) / 255.0));
+    let [dx, dy] = [
+        x - cell[0] * CELL_M - center[0],
+        y - cell[1] * CELL_M - center[1],
+    ];
+    let apart = (dx * dx + dy * dy).sqrt();
+    (apart < 0.36).then(|| Vec3A::splat(if apart > 0.30 { 0.13 } else { 0.045 }))
+}
+
 fn block_ground(block: &Block, x: f32, y: f32, footprint_m: f32) -> Vec3A {
-    let inside = (x - block.low[0]).min(block.high[0] - x).min((y - block.low[1]).min(block.high[1] - y));
+    let inside = (x - block.low[0])
+        .min(block.high[0] - x)
+        .min((y - block.low[1]).min(block.high[1] - y));
     if inside < PAVEMENT_M {
         return pavement(block, inside, x, y, footprint_m);
     }
@@ -108,15 +139,24 @@ fn pavement(block: &Block, inside: f32, x: f32, y: f32, footprint_m: f32) -> Vec
         let edge = mix(0.14, 0.40, smooth_step(0.02, 0.06, inside));
         return Vec3A::splat(edge * (1.0 - 0.5 * joints));
     }
-    let size_m = if block.seed.is_multiple_of(3) { 0.4 } else { 0.6 };
-    let joints = stripes(x, size_m, 0.0, 0.03, footprint_m).max(stripes(y, size_m, 0.0, 0.03, footprint_m));
-    let slab = noise::unit(noise::hash((x / size_m).floor() as i32, (y / size_m).floor() as i32, block.seed)) - 0.5;
+    let size_m = if block.seed.is_multiple_of(3) {
+        0.4
+    } else {
+        0.6
+    };
+    let joints =
+        stripes(x, size_m, 0.0, 0.03, footprint_m).max(stripes(y, size_m, 0.0, 0.03, footprint_m));
+    let slab = noise::unit(noise::hash(
+        (x / size_m).floor() as i32,
+        (y / size_m).floor() as i32,
+        block.seed,
+    )) - 0.5;
     let slab = slab * (1.4 - footprint_m / size_m).clamp(0.0, 1.0);
     let stains = fractal(x, y, 3.0, 4, footprint_m, block.seed);
     let base = [
-        Vec3A::new(0.31, 0.30, 0.28),
-        Vec3A::new(0.26, 0.255, 0.25),
-        Vec3A::new(0.33, 0.28, 0.235),
+        Vec3A::new(0.27, 0.262, 0.245),
+        Vec3A::new(0.22, 0.216, 0.212),
+        Vec3A::new(0.28, 0.235, 0.195),
     ][(block.seed >> 4) as usize % 3];
     base * (1.0 + 0.28 * slab + 0.26 * stains) * (1.0 - 0.45 * joints)
 }
@@ -144,8 +184,10 @@ fn park(block: &Block, x: f32, y: f32, footprint_m: f32) -> Vec3A {
 }
 
 fn square(x: f32, y: f32, footprint_m: f32, seed: u32) -> Vec3A {
-    let checks = (stripes(x, 6.0, 0.0, 3.0, footprint_m) - 0.5) * (stripes(y, 6.0, 0.0, 3.0, footprint_m) - 0.5);
-    let joints = stripes(x, 0.75, 0.0, 0.03, footprint_m).max(stripes(y, 0.75, 0.0, 0.03, footprint_m));
+    let checks = (stripes(x, 6.0, 0.0, 3.0, footprint_m) - 0.5)
+        * (stripes(y, 6.0, 0.0, 3.0, footprint_m) - 0.5);
+    let joints =
+        stripes(x, 0.75, 0.0, 0.03, footprint_m).max(stripes(y, 0.75, 0.0, 0.03, footprint_m));
     let stains = fractal(x, y, 2.4, 4, footprint_m, seed);
     Vec3A::new(0.34, 0.31, 0.28) * (1.0 + 0.6 * checks + 0.22 * stains) * (1.0 - 0.4 * joints)
 }

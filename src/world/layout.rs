@@ -55,8 +55,6 @@ pub(crate) struct Layout {
 /// Where a point lies against the roads of one direction.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Nearest {
-    /// Index of the nearest road.
-    pub index: usize,
     /// Distance from its middle, signed, metres.
     pub offset: f32,
     /// Half its width, metres.
@@ -67,13 +65,19 @@ impl Layout {
     /// A city that reaches at least `reach_m` from the origin, where a wide road crosses the x axis.
     pub fn draw(reach_m: f32, rng: &mut impl Rng) -> Self {
         let mut line = |first_half_width: f32| {
-            let mut roads = vec![Road { center: 0.0, half_width: first_half_width }];
+            let mut roads = vec![Road {
+                center: 0.0,
+                half_width: first_half_width,
+            }];
             for direction in [-1.0, 1.0] {
                 let mut center = 0.0;
                 while center < reach_m {
                     center += rng.random_range(58.0..92.0_f32);
                     let half_width = if rng.random_bool(0.3) { 6.6 } else { 3.9 };
-                    roads.push(Road { center: direction * center, half_width });
+                    roads.push(Road {
+                        center: direction * center,
+                        half_width,
+                    });
                 }
             }
             roads.sort_by(|a, b| a.center.total_cmp(&b.center));
@@ -97,21 +101,39 @@ impl Layout {
                     84..92 => Use::Plaza,
                     _ => Use::Parking,
                 };
-                blocks.push(Block { low, high, usage, seed: rng.random() });
+                blocks.push(Block {
+                    low,
+                    high,
+                    usage,
+                    seed: rng.random(),
+                });
             }
         }
-        Self { roads, blocks, seed: rng.random() }
+        Self {
+            roads,
+            blocks,
+            seed: rng.random(),
+        }
     }
 
     /// The road of one direction that is nearest to a coordinate.
     pub fn nearest(&self, axis: usize, coordinate: f32) -> Nearest {
         let roads = &self.roads[axis];
-        let above = roads.partition_point(|road| road.center < coordinate).min(roads.len() - 1);
+        let above = roads
+            .partition_point(|road| road.center < coordinate)
+            .min(roads.len() - 1);
         let below = above.saturating_sub(1);
         let gap = |i: usize| (coordinate - roads[i].center).abs() - roads[i].half_width;
-        let index = if gap(below) < gap(above) { below } else { above };
+        let index = if gap(below) < gap(above) {
+            below
+        } else {
+            above
+        };
         let Road { center, half_width } = roads[index];
-        Nearest { index, offset: coordinate - center, half_width }
+        Nearest {
+            offset: coordinate - center,
+            half_width,
+        }
     }
 
     /// The blocks, row by row.
@@ -150,9 +172,14 @@ mod tests {
             for j in 0..60_u8 {
                 let [x, y] = [i, j].map(|k| -190.0 + f32::from(k) * 6.37);
                 let [near_x, near_y] = [layout.nearest(0, x), layout.nearest(1, y)];
-                let on_road = [near_x, near_y].iter().any(|n| n.offset.abs() <= n.half_width);
+                let on_road = [near_x, near_y]
+                    .iter()
+                    .any(|n| n.offset.abs() <= n.half_width);
                 let block = layout.block_at(x, y).unwrap();
-                let inside = x >= block.low[0] && x <= block.high[0] && y >= block.low[1] && y <= block.high[1];
+                let inside = x >= block.low[0]
+                    && x <= block.high[0]
+                    && y >= block.low[1]
+                    && y <= block.high[1];
                 assert_eq!(on_road, !inside, "at {x}, {y}");
             }
         }

@@ -20,19 +20,43 @@ pub(crate) struct Finish {
 }
 
 const fn matt(level: f32) -> Finish {
-    Finish { albedo: Vec3A::splat(level), mirror: 0.0 }
+    Finish {
+        albedo: Vec3A::splat(level),
+        mirror: 0.0,
+    }
 }
 
-const GLASS: Finish = Finish { albedo: Vec3A::new(0.012, 0.014, 0.016), mirror: 0.07 };
+const GLASS: Finish = Finish {
+    albedo: Vec3A::new(0.012, 0.014, 0.016),
+    mirror: 0.07,
+};
 const RUBBER: Finish = matt(0.014);
-const PLASTIC: Finish = Finish { albedo: Vec3A::splat(0.028), mirror: 0.02 };
-const LAMP: Finish = Finish { albedo: Vec3A::new(0.66, 0.68, 0.70), mirror: 0.12 };
-const TAIL_LAMP: Finish = Finish { albedo: Vec3A::new(0.40, 0.008, 0.010), mirror: 0.07 };
+const PLASTIC: Finish = Finish {
+    albedo: Vec3A::splat(0.028),
+    mirror: 0.02,
+};
+const LAMP: Finish = Finish {
+    albedo: Vec3A::new(0.48, 0.50, 0.52),
+    mirror: 0.14,
+};
+const TAIL_LAMP: Finish = Finish {
+    albedo: Vec3A::new(0.40, 0.008, 0.010),
+    mirror: 0.07,
+};
 const PLATE: Finish = matt(0.70);
 
 /// The finish of a point, both arguments in vehicle axes.
-pub(crate) fn finish(vehicle: &Vehicle, part: VehiclePart, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Finish {
-    let coat = Finish { albedo: vehicle.paint, mirror: 0.05 };
+pub(crate) fn finish(
+    vehicle: &Vehicle,
+    part: VehiclePart,
+    at: Vec3A,
+    normal: Vec3A,
+    footprint_m: f32,
+) -> Finish {
+    let coat = Finish {
+        albedo: vehicle.paint,
+        mirror: 0.05,
+    };
     match part {
         VehiclePart::Body => body(vehicle, coat, at, normal, footprint_m),
         VehiclePart::Cabin => cabin(vehicle, coat, at, normal),
@@ -92,13 +116,18 @@ fn body(vehicle: &Vehicle, coat: Finish, at: Vec3A, normal: Vec3A, footprint_m: 
         }
     }
     let seam = seams(shape, at, normal, across, footprint_m);
-    Finish { albedo: coat.albedo * (1.0 - 0.9 * seam), mirror: coat.mirror * (1.0 - seam) }
+    Finish {
+        albedo: coat.albedo * (1.0 - 0.9 * seam),
+        mirror: coat.mirror * (1.0 - seam),
+    }
 }
 
 fn front(vehicle: &Vehicle, at: Vec3A, across: f32, to_front: f32) -> Option<Finish> {
     let shape = &vehicle.shape;
     let lamp_low = shape.nose - 0.27;
-    if within(across, 0.50, 0.97) && within(at.z, lamp_low + 0.05 * (1.0 - across), shape.nose - 0.12) {
+    if within(across, 0.50, 0.97)
+        && within(at.z, lamp_low + 0.05 * (1.0 - across), shape.nose - 0.12)
+    {
         return Some(LAMP);
     }
     if to_front > 0.16 {
@@ -106,18 +135,29 @@ fn front(vehicle: &Vehicle, at: Vec3A, across: f32, to_front: f32) -> Option<Fin
     }
     if within(at.z, shape.nose - 0.36, shape.nose - 0.17) && across < 0.46 {
         let badge = at.y * at.y + (at.z - shape.nose + 0.26) * (at.z - shape.nose + 0.26) < 0.0036;
-        return Some(if badge { Finish { albedo: Vec3A::splat(0.5), mirror: 0.4 } } else { PLASTIC });
+        return Some(if badge {
+            Finish {
+                albedo: Vec3A::splat(0.5),
+                mirror: 0.4,
+            }
+        } else {
+            PLASTIC
+        });
     }
     let plate = shape.clearance + 0.16;
     if at.y.abs() < 0.26 && within(at.z, plate, plate + 0.115) {
         return Some(PLATE);
     }
-    (across < 0.72 && within(at.z, shape.clearance + 0.08, shape.clearance + 0.20)).then_some(RUBBER)
+    (across < 0.72 && within(at.z, shape.clearance + 0.08, shape.clearance + 0.20))
+        .then_some(RUBBER)
 }
 
 fn rear(vehicle: &Vehicle, at: Vec3A, across: f32, to_rear: f32) -> Option<Finish> {
     let shape = &vehicle.shape;
-    let tall = matches!(shape.style, BodyStyle::Van | BodyStyle::Suv | BodyStyle::Pickup);
+    let tall = matches!(
+        shape.style,
+        BodyStyle::Van | BodyStyle::Suv | BodyStyle::Pickup
+    );
     let top = shape.deck - 0.10;
     let inner = if tall { 0.78 } else { 0.56 };
     let height = if tall { 0.36 } else { 0.17 };
@@ -131,7 +171,8 @@ fn rear(vehicle: &Vehicle, at: Vec3A, across: f32, to_rear: f32) -> Option<Finis
     if at.y.abs() < 0.26 && within(at.z, plate, plate + 0.115) {
         return Some(PLATE);
     }
-    (across < 0.75 && within(at.z, shape.clearance + 0.08, shape.clearance + 0.19)).then_some(PLASTIC)
+    (across < 0.75 && within(at.z, shape.clearance + 0.08, shape.clearance + 0.19))
+        .then_some(PLASTIC)
 }
 
 /// Share of the pixel covered by the gaps around doors, bonnet and boot.
@@ -140,14 +181,20 @@ fn seams(shape: &Shape, at: Vec3A, normal: Vec3A, across: f32, footprint_m: f32)
     let line = |x: f32, at_x: f32| stripe(x, at_x, HALF_GAP_M, footprint_m);
     if normal.z.abs() > 0.75 {
         let bonnet = line(at.x, shape.x(shape.cowl_part - 0.015));
-        let boot = if shape.deck_part < 0.95 { line(at.x, shape.x(shape.deck_part + 0.012)) } else { 0.0 };
+        let boot = if shape.deck_part < 0.95 {
+            line(at.x, shape.x(shape.deck_part + 0.012))
+        } else {
+            0.0
+        };
         return bonnet.max(boot);
     }
     if across < 0.75 {
         return 0.0;
     }
     let [first, middle, last] = door_edges(shape);
-    let mut cover = line(at.x, first).max(line(at.x, middle)).max(line(at.x, last));
+    let mut cover = line(at.x, first)
+        .max(line(at.x, middle))
+        .max(line(at.x, last));
     if within(at.x, last, first) {
         cover = cover.max(line(at.z, shape.clearance + 0.15));
         for edge in [middle, last] {
@@ -168,7 +215,11 @@ fn door_edges(shape: &Shape) -> [f32; 3] {
         BodyStyle::Van => shape.x(0.56),
         _ => shape.x((shape.roof_rear_part - 0.03).min(0.74)),
     };
-    let share = if matches!(shape.style, BodyStyle::Coupe) { 0.98 } else { 0.53 };
+    let share = if matches!(shape.style, BodyStyle::Coupe) {
+        0.98
+    } else {
+        0.53
+    };
     [first, first + (last - first) * share, last]
 }
 
@@ -178,7 +229,8 @@ fn cabin(vehicle: &Vehicle, coat: Finish, at: Vec3A, normal: Vec3A) -> Finish {
     let belt = belt_height(shape, 0.5 - at.x / shape.length);
     let s = (at.z - belt) / (rail - belt).max(0.05);
     if s > 0.94 {
-        let panorama = vehicle.seed % 5 == 1 && normal.z.abs() > 0.9 && shape.style != BodyStyle::Van;
+        let panorama =
+            vehicle.seed % 5 == 1 && normal.z.abs() > 0.9 && shape.style != BodyStyle::Van;
         return if panorama { GLASS } else { coat };
     }
     if s < 0.05 {
@@ -189,7 +241,8 @@ fn cabin(vehicle: &Vehicle, coat: Finish, at: Vec3A, normal: Vec3A) -> Finish {
     let across = at.y / outline.half_width;
     if across.abs() < 0.86 && along.abs() > 0.80 {
         // Windscreen and rear window; a van's doors have two small panes.
-        let rear_post = along < 0.0 && shape.style == BodyStyle::Van && (across.abs() < 0.10 || s < 0.35);
+        let rear_post =
+            along < 0.0 && shape.style == BodyStyle::Van && (across.abs() < 0.10 || s < 0.35);
         return if rear_post { coat } else { GLASS };
     }
     let [_, middle, last] = door_edges(shape);
@@ -197,12 +250,20 @@ fn cabin(vehicle: &Vehicle, coat: Finish, at: Vec3A, normal: Vec3A) -> Finish {
         BodyStyle::Van => at.x > middle + 0.05 || vehicle.seed.is_multiple_of(4),
         _ => true,
     };
-    let end = if shape.roof_rear_part > 0.80 { 0.88 } else { 0.74 };
+    let end = if shape.roof_rear_part > 0.80 {
+        0.88
+    } else {
+        0.74
+    };
     if !glazed || along > 0.84 || along < -end {
         return coat;
     }
     let post = |x: f32| (at.x - x).abs() < 0.045;
-    if post(middle) || (shape.style != BodyStyle::Coupe && post(last + 0.02)) { RUBBER } else { GLASS }
+    if post(middle) || (shape.style != BodyStyle::Coupe && post(last + 0.02)) {
+        RUBBER
+    } else {
+        GLASS
+    }
 }
 
 fn wheel(shape: &Shape, seed: u32, at: Vec3A) -> Finish {
@@ -216,9 +277,12 @@ fn wheel(shape: &Shape, seed: u32, at: Vec3A) -> Finish {
     let spokes = 5 + seed % 3;
     let turns = (libm::atan2f(dz, dx) / std::f32::consts::TAU + 1.0) * spokes as f32;
     let on_spoke = (turns.fract() - 0.5).abs() < 0.27;
-    if on_spoke || reach < 0.22 || reach > 0.57 {
+    if on_spoke || !(0.22..=0.57).contains(&reach) {
         let level = 0.35 + 0.25 * noise::unit(seed);
-        Finish { albedo: Vec3A::splat(level), mirror: 0.25 }
+        Finish {
+            albedo: Vec3A::splat(level),
+            mirror: 0.25,
+        }
     } else {
         matt(0.02)
     }

@@ -17,6 +17,8 @@ pub(crate) enum Surface {
     Bark,
     /// Painted metal of lamp posts and the like.
     Metal,
+    /// Traffic signs.
+    Sign,
     /// Part of the vehicle.
     Vehicle(VehiclePart),
 }
@@ -63,8 +65,15 @@ impl Mesh {
     }
 
     fn push_flat(&mut self, vertices: [Vec3A; 3], surface: Surface, face: u32) {
-        let normal = (vertices[1] - vertices[0]).cross(vertices[2] - vertices[0]).normalize_or_zero();
-        self.triangles.push(Triangle { vertices, normals: [normal; 3], surface, face });
+        let normal = (vertices[1] - vertices[0])
+            .cross(vertices[2] - vertices[0])
+            .normalize_or_zero();
+        self.triangles.push(Triangle {
+            vertices,
+            normals: [normal; 3],
+            surface,
+            face,
+        });
     }
 
     /// A flat polygon that is convex, as a fan.
@@ -77,7 +86,12 @@ impl Mesh {
 
     /// The upper five faces of an axis-aligned block; what stands on the ground needs no bottom.
     pub fn block(&mut self, low: Vec3A, high: Vec3A, walls: Surface, top: Surface) {
-        let [a, b, c, d] = [(low.x, low.y), (high.x, low.y), (high.x, high.y), (low.x, high.y)];
+        let [a, b, c, d] = [
+            (low.x, low.y),
+            (high.x, low.y),
+            (high.x, high.y),
+            (low.x, high.y),
+        ];
         for (from, to) in [(a, b), (b, c), (c, d), (d, a)] {
             self.polygon(
                 &[
@@ -97,7 +111,11 @@ impl Mesh {
     /// Rows must have equal lengths.
     pub fn grid(&mut self, rows: &[Vec<Vec3A>], wrap: bool, surface: Surface) {
         let columns = rows.first().map_or(0, Vec::len);
-        let quads = if wrap { columns } else { columns.saturating_sub(1) };
+        let quads = if wrap {
+            columns
+        } else {
+            columns.saturating_sub(1)
+        };
         let mut normals = vec![vec![Vec3A::ZERO; columns]; rows.len()];
         let corner = |row: usize, column: usize| (row, column % columns);
         let mut faces = Vec::new();
@@ -119,7 +137,9 @@ impl Mesh {
         let face = self.new_face();
         for indices in &faces {
             let vertices = indices.map(|(row, column)| rows[row][column]);
-            let area = (vertices[1] - vertices[0]).cross(vertices[2] - vertices[0]).length();
+            let area = (vertices[1] - vertices[0])
+                .cross(vertices[2] - vertices[0])
+                .length();
             if area > 1e-9 {
                 self.triangles.push(Triangle {
                     vertices,
@@ -134,7 +154,11 @@ impl Mesh {
     /// A round bar or cone between two points, without end caps.
     pub fn tube(&mut self, ends: [Vec3A; 2], radii: [f32; 2], segments: u16, surface: Surface) {
         let axis = (ends[1] - ends[0]).normalize_or_zero();
-        let side = if axis.z.abs() > 0.9 { Vec3A::X } else { Vec3A::Z };
+        let side = if axis.z.abs() > 0.9 {
+            Vec3A::X
+        } else {
+            Vec3A::Z
+        };
         let u = axis.cross(side).normalize_or_zero();
         let v = axis.cross(u);
         let ring = |end: usize| -> Vec<Vec3A> {
@@ -160,7 +184,14 @@ impl Mesh {
     }
 
     /// A lumpy ball, such as a tree's crown.
-    pub fn blob(&mut self, center: Vec3A, radii: Vec3A, lumpiness: f32, seed: u32, surface: Surface) {
+    pub fn blob(
+        &mut self,
+        center: Vec3A,
+        radii: Vec3A,
+        lumpiness: f32,
+        seed: u32,
+        surface: Surface,
+    ) {
         const ROWS: u16 = 9;
         const COLUMNS: u16 = 14;
         let rows: Vec<Vec<Vec3A>> = (0..=ROWS)

@@ -45,7 +45,14 @@ pub(crate) fn value(x: f32, y: f32, seed: u32) -> f32 {
 
 /// Noise of several scales, mean 0, within -1..1: features from `coarse_m` down by powers of 3, each
 /// of 0.7 times the strength of the one before; features below the footprint fade out.
-pub(crate) fn fractal(x: f32, y: f32, coarse_m: f32, octaves: u32, footprint_m: f32, seed: u32) -> f32 {
+pub(crate) fn fractal(
+    x: f32,
+    y: f32,
+    coarse_m: f32,
+    octaves: u32,
+    footprint_m: f32,
+    seed: u32,
+) -> f32 {
     let (mut sum, mut strength, mut size_m) = (0.0, 0.6, coarse_m);
     for octave in 0..octaves {
         let fade = (1.6 - footprint_m / size_m).clamp(0.0, 1.0);
@@ -56,7 +63,13 @@ pub(crate) fn fractal(x: f32, y: f32, coarse_m: f32, octaves: u32, footprint_m: 
         let shift = octave as f32 * 17.31;
         sum += strength
             * fade
-            * (2.0 * value(x / size_m + shift, y / size_m - shift, seed.wrapping_add(octave)) - 1.0);
+            * (2.0
+                * value(
+                    x / size_m + shift,
+                    y / size_m - shift,
+                    seed.wrapping_add(octave),
+                )
+                - 1.0);
         strength *= 0.7;
         size_m /= 3.0;
     }

@@ -43,7 +43,11 @@ impl Scene {
         let heading = quarter_turn + rng.random_range(-5.0..5.0_f64).to_radians();
         let vehicle = Vehicle::draw(number, at, heading, &mut rng);
         let city = City::draw(reach_m, at.map(|v| v as f32), layout, &mut rng);
-        Self { vehicle, compass_deg: rng.random_range(0.0..360.0), city }
+        Self {
+            vehicle,
+            compass_deg: rng.random_range(0.0..360.0),
+            city,
+        }
     }
 
     /// Whether a point lies in a building or less than `margin_m` from one.
@@ -58,9 +62,15 @@ mod tests {
 
     #[test]
     fn the_same_seed_and_number_give_the_same_scene_and_others_do_not() {
-        let [a, b, c] = [(3, 0), (3, 0), (3, 1)].map(|(seed, number)| Scene::draw(seed, number, 60.0));
+        let [a, b, c] =
+            [(3, 0), (3, 0), (3, 1)].map(|(seed, number)| Scene::draw(seed, number, 60.0));
         let corners = |s: &Scene| -> Vec<[f32; 3]> {
-            s.city.mesh.triangles.iter().map(|t| t.vertices[0].to_array()).collect()
+            s.city
+                .mesh
+                .triangles
+                .iter()
+                .map(|t| t.vertices[0].to_array())
+                .collect()
         };
         assert_eq!(corners(&a), corners(&b));
         assert_ne!(corners(&a), corners(&c));

@@ -77,13 +77,13 @@ impl Shape {
             cowl_part: parts[0], roof_front_part: parts[1], roof_rear_part: parts[2], deck_part: parts[3],
         };
         match style {
-            BodyStyle::Sedan => shape([4.65, 1.82, 1.45], [0.17, 0.32, 2.72], [0.70, 0.96, 1.02], [0.26, 0.42, 0.70, 0.86]),
-            BodyStyle::Hatchback => shape([4.05, 1.76, 1.48], [0.16, 0.31, 2.55], [0.72, 0.97, 1.00], [0.23, 0.40, 0.86, 0.965]),
-            BodyStyle::Estate => shape([4.75, 1.83, 1.50], [0.17, 0.33, 2.80], [0.72, 0.97, 1.02], [0.25, 0.41, 0.89, 0.975]),
-            BodyStyle::Suv => shape([4.60, 1.90, 1.72], [0.24, 0.37, 2.70], [0.90, 1.12, 1.15], [0.23, 0.37, 0.88, 0.97]),
-            BodyStyle::Van => shape([5.15, 1.97, 2.05], [0.20, 0.34, 3.10], [0.90, 1.18, 1.22], [0.14, 0.27, 0.955, 0.985]),
-            BodyStyle::Pickup => shape([5.30, 1.90, 1.82], [0.26, 0.38, 3.20], [0.98, 1.15, 1.12], [0.25, 0.36, 0.575, 0.62]),
-            BodyStyle::Coupe => shape([4.40, 1.85, 1.30], [0.14, 0.33, 2.60], [0.62, 0.88, 0.93], [0.30, 0.46, 0.63, 0.90]),
+            BodyStyle::Sedan => shape([4.65, 1.82, 1.45], [0.17, 0.32, 2.72], [0.75, 0.96, 1.02], [0.26, 0.42, 0.70, 0.86]),
+            BodyStyle::Hatchback => shape([4.05, 1.76, 1.48], [0.16, 0.31, 2.55], [0.77, 0.97, 1.00], [0.23, 0.40, 0.86, 0.965]),
+            BodyStyle::Estate => shape([4.75, 1.83, 1.50], [0.17, 0.33, 2.80], [0.77, 0.97, 1.02], [0.25, 0.41, 0.89, 0.975]),
+            BodyStyle::Suv => shape([4.60, 1.90, 1.72], [0.24, 0.37, 2.70], [0.97, 1.12, 1.15], [0.23, 0.37, 0.88, 0.97]),
+            BodyStyle::Van => shape([5.15, 1.97, 2.05], [0.20, 0.34, 3.10], [0.97, 1.18, 1.22], [0.14, 0.27, 0.955, 0.985]),
+            BodyStyle::Pickup => shape([5.30, 1.90, 1.82], [0.26, 0.38, 3.20], [1.03, 1.16, 1.12], [0.25, 0.36, 0.575, 0.62]),
+            BodyStyle::Coupe => shape([4.40, 1.85, 1.30], [0.14, 0.33, 2.60], [0.68, 0.88, 0.93], [0.30, 0.46, 0.63, 0.90]),
         }
     }
 
@@ -95,7 +95,10 @@ impl Shape {
     /// The x of the front and the rear axle.
     pub fn axles(&self) -> [f32; 2] {
         // The front overhang is a little shorter than the rear one.
-        [self.wheelbase * 0.5 + 0.04 * self.length, -self.wheelbase * 0.5 + 0.04 * self.length]
+        [
+            self.wheelbase * 0.5 + 0.04 * self.length,
+            -self.wheelbase * 0.5 + 0.04 * self.length,
+        ]
     }
 }
 
@@ -134,8 +137,8 @@ const PAINTS: [[f32; 3]; 14] = [
 ];
 
 impl Vehicle {
-    /// A vehicle of the given number: numbers that differ by less than 7 differ in style, and
-    /// by less than 14 in paint.
+    /// A vehicle of the given number: numbers that differ by less than 7 differ in style, and by
+    /// less than 13 in paint.
     ///
     /// It stands at `(x, y)` on the ground and heads `heading` radians from the world's x axis.
     pub(crate) fn draw(number: u32, at: [f64; 2], heading: f64, rng: &mut impl Rng) -> Self {
@@ -146,14 +149,24 @@ impl Vehicle {
         shape.wheelbase *= length;
         shape.width *= width;
         shape.height *= height;
-        // A step coprime to the list's length visits every paint before it repeats one.
-        let base = Vec3A::from_array(PAINTS[(number as usize * 5 + 3) % PAINTS.len()]);
+        // A step coprime to the list's length visits every paint before it repeats one; the shift
+        // after each round keeps style and paint from pairing up.
+        let base = Vec3A::from_array(
+            PAINTS[(number as usize * 5 + number as usize / 14 + 3) % PAINTS.len()],
+        );
         let paint = (base * rng.random_range(0.85..1.15_f32)).min(Vec3A::splat(0.82));
         let mesh = body::build(&shape);
-        Self::place(shape, paint, rng.random(), mesh, at, heading)
+        Self::place(shape, paint, rng.random(), &mesh, at, heading)
     }
 
-    fn place(shape: Shape, paint: Vec3A, seed: u32, mesh: Mesh, at: [f64; 2], heading: f64) -> Self {
+    fn place(
+        shape: Shape,
+        paint: Vec3A,
+        seed: u32,
+        mesh: &Mesh,
+        at: [f64; 2],
+        heading: f64,
+    ) -> Self {
         let (mut low, mut high) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
         for vertex in mesh.triangles.iter().flat_map(|t| t.vertices) {
             low = low.min(vertex);
@@ -180,7 +193,15 @@ impl Vehicle {
             })
             .collect();
         let size_m = (high - low).to_array().map(f64::from);
-        Self { shape, paint, seed, center_world, forward_world, size_m, triangles }
+        Self {
+            shape,
+            paint,
+            seed,
+            center_world,
+            forward_world,
+            size_m,
+            triangles,
+        }
     }
 
     /// Style of its body.
@@ -250,8 +271,9 @@ mod tests {
     #[test]
     fn neighbouring_vehicles_differ_in_style_and_paint() {
         let mut rng = Pcg64::seed_from_u64(5);
-        let vehicles: Vec<Vehicle> =
-            (0..7).map(|n| Vehicle::draw(n, [0.0, 0.0], 0.0, &mut rng)).collect();
+        let vehicles: Vec<Vehicle> = (0..7)
+            .map(|n| Vehicle::draw(n, [0.0, 0.0], 0.0, &mut rng))
+            .collect();
         for pair in vehicles.windows(2) {
             assert_ne!(pair[0].style(), pair[1].style());
             assert_ne!(pair[0].paint, pair[1].paint);
@@ -266,6 +288,9 @@ mod tests {
         let [fx, fy, _] = vehicle.forward_world;
         let ahead = Vec3A::new((x + 2.0 * fx) as f32, (y + 2.0 * fy) as f32, 0.5);
         let local = vehicle.vehicle_from_world(ahead);
-        assert!((local - Vec3A::new(2.0, 0.0, 0.5)).length() < 1e-4, "{local}");
+        assert!(
+            (local - Vec3A::new(2.0, 0.0, 0.5)).length() < 1e-4,
+            "{local}"
+        );
     }
 }

@@ -200,7 +200,7 @@ pub fn composite_batch(key: &str, batch: usize, height: usize, width: usize) -> 
 }
 
 /// 26 numbers that stand for a whole tensor: mean, standard deviation (divisor n), the first
-/// eight elements, and sixteen elements spread evenly over it.
+/// eight elements (zeros where there are fewer), and sixteen elements spread evenly over it.
 pub fn summary(values: &[f32]) -> Vec<f64> {
     let n = values.len();
     let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / n as f64;
@@ -209,7 +209,7 @@ pub fn summary(values: &[f32]) -> Vec<f64> {
         .map(|&v| (f64::from(v) - mean).powi(2))
         .sum::<f64>()
         / n as f64;
-    let first = (0..8).map(|i| f64::from(values[i]));
+    let first = (0..8).map(|i| values.get(i).map_or(0.0, |&v| f64::from(v)));
     let spread = (0..16).map(|j| f64::from(values[j * n / 16]));
     [mean, variance.sqrt()]
         .into_iter()

@@ -1,0 +1,81 @@
+//! The command line: what was typed becomes the library's settings, its results become text.
+//!
+//! The only place that knows clap and that prints. Results go to standard output, everything else
+//! to standard error.
+
+mod devices;
+mod evaluate;
+mod files;
+mod generate;
+mod predict;
+mod prepare;
+mod presets;
+pub mod stderr;
+pub mod stdout;
+mod terminal;
+mod train;
+mod values;
+
+use clap::{Parser, Subcommand};
+use twinsight::Result;
+
+/// How many metres away is that vehicle?
+///
+/// Twinsight finds vehicles in both images of a stereo pair with a YOLO11 detector and measures
+/// their distance with a small two-branch network. It makes its own training data, trains both
+/// networks, evaluates them and measures new pairs.
+#[derive(Debug, Parser)]
+#[command(version, after_long_help = EXAMPLES, max_term_width = 100)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Show no progress and no notes; results and errors are still printed
+    #[arg(long, short, global = true)]
+    quiet: bool,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  The short way from nothing to a distance: make a small dataset, train both networks on it, measure
+  how well they do, and measure a pair:
+
+    twinsight train
+    twinsight evaluate --run checkpoints/quick --data datasets/quick
+    twinsight predict --run checkpoints/quick left.png right.png
+
+  `twinsight help COMMAND` is the manual of a command.";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Generate(generate::GenerateArgs),
+    Prepare(prepare::PrepareArgs),
+    Train(Box<train::TrainArgs>),
+    Evaluate(evaluate::EvaluateArgs),
+    Predict(predict::PredictArgs),
+    Devices(devices::DevicesArgs),
+}
+
+impl Cli {
+    /// Runs the command.
+    pub fn run(&self) -> Result<()> {
+        match &self.command {
+            Command::Generate(args) => args.run(self.quiet),
+            Command::Prepare(args) => args.run(self.quiet),
+            Command::Train(args) => args.run(self.quiet),
+            Command::Evaluate(args) => args.run(self.quiet),
+            Command::Predict(args) => args.run(),
+            Command::Devices(args) => args.run(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_has_no_contradictions() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,422 @@
+//! `twinsight train`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use toml::{Table, Value};
+use twinsight::dataset::{BoxKind, CompositeSize, Split, StereoDataset};
+use twinsight::detector::Scale;
+use twinsight::device::DeviceName;
+use twinsight::generate::{GenerateConfig, generate};
+use twinsight::progress::Progress;
+use twinsight::train::{Stage, StageFolder, TrainConfig, TrainRequest, TrainSummary, train};
+use twinsight::{Error, Result, files};
+
+use super::generate::summary as dataset_summary;
+use super::values::{self, program, quoted};
+use super::{presets, stdout, terminal};
+
+/// Train the detector, the distance network, or both
+///
+/// Settings come from a preset, over it a configuration file, over that the options below. The run
+/// folder receives the settings, the weights, checkpoints to go on from, and logs for TensorBoard.
+/// Ctrl-C saves everything and stops; --resume goes on from there.
+#[derive(Debug, Args)]
+#[command(after_long_help = EXAMPLES)]
+pub struct TrainArgs {
+    /// What to train
+    #[arg(value_enum, default_value_t = StageName::All)]
+    stage: StageName,
+    /// Settings that come with the program: `quick` takes minutes on a processor, `paper` is the
+    /// paper's training, for a graphics card
+    #[arg(long, value_parser = presets::names(), default_value = presets::DEFAULT)]
+    preset: String,
+    /// Settings from a TOML file, over the preset; it gives only what it changes
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Folder of the dataset [default: datasets/ and the preset's name, made first where it is
+    /// missing]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Folder of the run [default: checkpoints/ and the name of the configuration or preset]
+    #[arg(long, value_name = "DIR")]
+    run: Option<PathBuf>,
+    /// What to compute on; `twinsight devices` lists the choices
+    #[arg(long, default_value_t = DeviceName::FLEX)]
+    device: DeviceName,
+    /// Go on with a run that was stopped
+    #[arg(long)]
+    resume: bool,
+    #[command(flatten)]
+    overrides: Overrides,
+}
+
+/// Single settings, over those of the preset and the file.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Settings over the preset and the configuration")]
+struct Overrides {
+    /// Everything random follows from it
+    #[arg(long, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    seed: Option<u64>,
+    /// Size of the detector
+    #[arg(long, value_enum)]
+    scale: Option<Scale>,
+    /// Long side of the detector's input, pixels
+    #[arg(long, value_name = "PIXELS")]
+    image_size: Option<u32>,
+    /// Size of the distance network's input
+    #[arg(long, value_name = "HEIGHTxWIDTH")]
+    composite: Option<CompositeSize>,
+    /// Which of a dataset's two kinds of box is learnt
+    #[arg(long, value_parser = values::box_kind())]
+    box_kind: Option<BoxKind>,
+    /// Passes over the training data, of every network that is trained
+    #[arg(long, value_name = "N")]
+    epochs: Option<u32>,
+    /// Passes over the training images, of the detector
+    #[arg(long, value_name = "N")]
+    detector_epochs: Option<u32>,
+    /// Passes over the training vehicles, of the distance network
+    #[arg(long, value_name = "N")]
+    distance_epochs: Option<u32>,
+    /// Images per optimiser step, of every network that is trained
+    #[arg(long, value_name = "N")]
+    batch: Option<u32>,
+    /// Adam's learning rate, of every network that is trained
+    #[arg(long, value_name = "RATE")]
+    learning_rate: Option<f64>,
+    /// Detector weights to start from: safetensors with the published names
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  Everything at once: makes `datasets/quick` if it is missing and trains both networks on it:
+
+    twinsight train
+
+  The paper's training on a graphics card, into a folder of its own:
+
+    twinsight train --preset paper --device wgpu --run checkpoints/paper-1
+
+  Go on after Ctrl-C or a power cut:
+
+    twinsight train --preset paper --device wgpu --run checkpoints/paper-1 --resume
+
+  The distance network alone, on your data:
+
+    twinsight train distance --data datasets/mine --run checkpoints/mine --epochs 50";
+
+/// What can be trained.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum StageName {
+    /// Both networks, the detector first
+    All,
+    /// The detector: finds vehicles in an image
+    Detector,
+    /// The distance network: tells the metres to a vehicle that was found
+    Distance,
+}
+
+impl StageName {
+    fn stage(self) -> Stage {
+        match self {
+            Self::All => Stage::All,
+            Self::Detector => Stage::Detector,
+            Self::Distance => Stage::Distance,
+        }
+    }
+
+    /// The networks' sections in the settings.
+    fn sections(self) -> &'static [&'static str] {
+        match self {
+            Self::All => &["detector", "distance"],
+            Self::Detector => &["detector"],
+            Self::Distance => &["distance"],
+        }
+    }
+}
+
+impl TrainArgs {
+    /// Trains.
+    pub fn run(&self, quiet: bool) -> Result<()> {
+        let config = self.resolve()?;
+        let (data, run) = (self.data(), self.run_folder());
+        self.check(&config, &run)?;
+        let summary = terminal::with_progress(quiet, |progress| {
+            if self.data.is_none() {
+                self.make_missing_data(&data, progress)?;
+            }
+            let request = TrainRequest {
+                config: &config,
+                data: &data,
+                run: &run,
+                stage: self.stage.stage(),
+                resume: self.resume,
+                device: self.device,
+            };
+            train(&request, progress)
+        })?;
+        stdout::print(&self.report(&summary, &config, &data, &run))
+    }
+
+    /// The settings of the preset, the file and the options together.
+    fn resolve(&self) -> Result<TrainConfig> {
+        let resolve =
+            |flags: &Table| TrainConfig::resolve(Some(&self.preset), self.config.as_deref(), flags);
+        let mut flags = self.overrides.table(self.stage)?;
+        if let Some(batch) = self.overrides.batch {
+            // A forward pass cannot hold more than a batch.
+            let config = resolve(&flags)?;
+            for &section in self.stage.sections() {
+                let micro_batch = match section {
+                    "detector" => config.detector.micro_batch,
+                    _ => config.distance.micro_batch,
+                };
+                set(&mut flags, section, "batch", i64::from(batch));
+                let micro_batch = i64::try_from(micro_batch).unwrap_or(i64::MAX);
+                set(&mut flags, section, "micro_batch", micro_batch.min(i64::from(batch)));
+            }
+        }
+        resolve(&flags)
+    }
+
+    fn data(&self) -> PathBuf {
+        match &self.data {
+            Some(data) => data.clone(),
+            None => Path::new("datasets").join(&self.preset),
+        }
+    }
+
+    fn run_folder(&self) -> PathBuf {
+        match &self.run {
+            Some(run) => run.clone(),
+            None => {
+                Path::new("checkpoints").join(presets::title(&self.preset, self.config.as_deref()))
+            }
+        }
+    }
+
+    /// Finds out before the long work what would stop it in the end.
+    fn check(&self, config: &TrainConfig, run: &Path) -> Result<()> {
+        for stage in self.stage.sections() {
+            if !self.resume && !is_empty(&run.join(stage)) {
+                return Err(Error::value(
+                    format!("run {}", run.display()),
+                    format!("exists already and has a {stage}"),
+                    "go on with it by --resume, or choose another folder by --run",
+                ));
+            }
+        }
+        self.device.open()?;
+        if let Some(weights) = &config.detector.weights {
+            fs::File::open(weights).map_err(Error::io("read", weights))?;
+        }
+        files::create_folder(run)
+    }
+
+    /// Generates the preset's dataset unless it is there.
+    fn make_missing_data(&self, data: &Path, progress: &dyn Progress) -> Result<()> {
+        if data.join("dataset.toml").exists() {
+            return Ok(());
+        }
+        let preset = &self.preset;
+        progress.note(&format!(
+            "there is no dataset {}: making it first, from the preset {preset}",
+            data.display()
+        ));
+        let report = generate(&GenerateConfig::preset(preset)?, data, progress)?;
+        progress.note(&dataset_summary(&report, data));
+        Ok(())
+    }
+
+    /// The figures, where things are, and what to type next.
+    fn report(
+        &self,
+        summary: &TrainSummary,
+        config: &TrainConfig,
+        data: &Path,
+        run: &Path,
+    ) -> String {
+        let missing = StageName::All
+            .sections()
+            .iter()
+            .find(|stage| !StageFolder::new(run, stage).best().exists());
+        let next = match missing {
+            Some(stage) => self.train_command(stage, data, run),
+            None => predict_command(config, data, run),
+        };
+        format!(
+            "{}\n\nrun folder:   {}\nTensorBoard:  tensorboard --logdir {}\nnext command: {next}\n",
+            summary.to_string().trim_end(),
+            run.display(),
+            quoted(run),
+        )
+    }
+
+    /// The command that trains another stage into the same run with the settings that both share.
+    fn train_command(&self, stage: &str, data: &Path, run: &Path) -> String {
+        let mut command = format!("{} train {stage} --preset {}", program(), self.preset);
+        let mut add = |name: &str, value: Option<String>| {
+            if let Some(value) = value {
+                command.push_str(&format!(" {name} {value}"));
+            }
+        };
+        add("--config", self.config.as_deref().map(quoted));
+        add("--data", Some(quoted(data)));
+        add("--run", Some(quoted(run)));
+        add("--device", (self.device != DeviceName::FLEX).then(|| self.device.to_string()));
+        add("--seed", self.overrides.seed.map(|seed| seed.to_string()));
+        add("--box-kind", self.overrides.box_kind.map(|kind| kind.to_string()));
+        command
+    }
+}
+
+impl Overrides {
+    /// The options as settings. The batch is missing: it depends on other settings.
+    fn table(&self, stage: StageName) -> Result<Table> {
+        let mut table = Table::new();
+        if let Some(seed) = self.seed {
+            // Limited when it was parsed.
+            table.insert("seed".to_owned(), Value::Integer(seed.cast_signed()));
+        }
+        if let Some(kind) = self.box_kind {
+            table.insert("box_kind".to_owned(), kind.to_string().into());
+        }
+        if let Some(scale) = self.scale {
+            set(&mut table, "detector", "scale", scale.letter());
+        }
+        if let Some(pixels) = self.image_size {
+            set(&mut table, "detector", "image_size", i64::from(pixels));
+        }
+        if let Some(size) = self.composite {
+            let size = Value::try_from(size)
+                .map_err(|error| Error::value("--composite", error.to_string(), "leave it out"))?;
+            set(&mut table, "distance", "composite", size);
+        }
+        for &section in stage.sections() {
+            if let Some(epochs) = self.epochs {
+                set(&mut table, section, "epochs", i64::from(epochs));
+            }
+            if let Some(rate) = self.learning_rate {
+                set(&mut table, section, "learning_rate", rate);
+            }
+        }
+        for (section, epochs) in
+            [("detector", self.detector_epochs), ("distance", self.distance_epochs)]
+        {
+            if let Some(epochs) = epochs {
+                set(&mut table, section, "epochs", i64::from(epochs));
+            }
+        }
+        if let Some(weights) = &self.weights {
+            let Some(path) = weights.to_str() else {
+                return Err(Error::value(
+                    format!("--weights {}", weights.display()),
+                    "the name is not Unicode",
+                    "rename the file",
+                ));
+            };
+            set(&mut table, "detector", "weights", path);
+        }
+        Ok(table)
+    }
+}
+
+/// Puts a setting into a section, which is made where it is missing.
+fn set(table: &mut Table, section: &str, key: &str, value: impl Into<Value>) {
+    let section = table.entry(section).or_insert_with(|| Value::Table(Table::new()));
+    if let Value::Table(section) = section {
+        section.insert(key.to_owned(), value.into());
+    }
+}
+
+/// Nothing there, or a folder without anything in it.
+fn is_empty(folder: &Path) -> bool {
+    match fs::read_dir(folder) {
+        Ok(mut entries) => entries.next().is_none(),
+        Err(error) => error.kind() == std::io::ErrorKind::NotFound,
+    }
+}
+
+/// The command that measures the first validation frame.
+fn predict_command(config: &TrainConfig, data: &Path, run: &Path) -> String {
+    let [left, right] = first_validation_pair(config, data)
+        .unwrap_or_else(|| [PathBuf::from("LEFT.png"), PathBuf::from("RIGHT.png")])
+        .map(|path| quoted(&path));
+    format!("{} predict --run {} {left} {right}", program(), quoted(run))
+}
+
+/// The images of the first frame that validated; none where there is none, which is no reason to
+/// fail after a training that succeeded.
+fn first_validation_pair(config: &TrainConfig, data: &Path) -> Option<[PathBuf; 2]> {
+    let mut dataset = StereoDataset::open(data).ok()?;
+    if let Some(by) = config.split {
+        dataset.resplit(by, config.seed).ok()?;
+    }
+    let frame = *dataset.split(Split::Val).first()?;
+    Some([frame.left.path.clone(), frame.right.path.clone()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: TrainArgs,
+    }
+
+    fn resolve(line: &str) -> Result<TrainConfig> {
+        let words = std::iter::once("train").chain(line.split_whitespace());
+        Line::try_parse_from(words).unwrap().args.resolve()
+    }
+
+    #[test]
+    fn options_go_over_the_preset() {
+        let line = "--seed 9 --scale s --image-size 256 --epochs 2 --distance-epochs 5 \
+                    --learning-rate 0.01 --composite 828x414 --box-kind tight --weights a.safetensors";
+        let config = resolve(line).unwrap();
+        assert_eq!(config.seed, 9);
+        assert_eq!(config.box_kind, BoxKind::Tight);
+        assert_eq!(config.detector.scale, Scale::S);
+        assert_eq!(config.detector.image_size, 256);
+        assert_eq!(config.detector.weights, Some(PathBuf::from("a.safetensors")));
+        assert_eq!((config.detector.epochs, config.distance.epochs), (2, 5));
+        assert_eq!((config.detector.learning_rate, config.distance.learning_rate), (0.01, 0.01));
+        assert_eq!(config.distance.composite, CompositeSize::FULL);
+    }
+
+    #[test]
+    fn options_for_every_network_leave_the_one_alone_that_is_not_trained() {
+        let quick = TrainConfig::preset("quick").unwrap();
+        let config = resolve("distance --epochs 2 --batch 4").unwrap();
+        assert_eq!(config.detector, quick.detector);
+        assert_eq!((config.distance.epochs, config.distance.batch), (2, 4));
+    }
+
+    #[test]
+    fn a_smaller_batch_makes_the_forward_pass_smaller_and_a_larger_one_does_not_enlarge_it() {
+        let quick = TrainConfig::preset("quick").unwrap();
+        let small = resolve("--batch 3").unwrap();
+        assert_eq!((small.detector.batch, small.detector.micro_batch), (3, 3));
+        let large = resolve("--batch 512").unwrap();
+        assert_eq!(large.distance.micro_batch, quick.distance.micro_batch);
+    }
+
+    #[test]
+    fn a_value_that_cannot_be_used_is_named() {
+        for (line, words) in [
+            ("--epochs 0", "detector.epochs = 0"),
+            ("--batch 0", "detector.batch = 0"),
+            ("--learning-rate NaN", "detector.learning_rate = NaN"),
+        ] {
+            let message = resolve(line).unwrap_err().to_string();
+            assert!(message.contains(words), "{message} should contain {words}");
+        }
+    }
+}

@@ -1,0 +1,230 @@
+//! The whole way from a stereo pair to metres: the library's front door.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use burn::tensor::Device;
+use image::RgbImage;
+use serde::{Deserialize, Serialize};
+
+use crate::detector::nms::NmsConfig;
+use crate::detector::{Detection, VehicleDetector};
+use crate::error::{Error, Result};
+use crate::geometry::{PixelBox, RigSettings, StereoRig};
+use crate::pairing::{PairingConfig, pair};
+use crate::ranging::{DistanceEstimator, Sighting};
+use crate::train::StageFolder;
+
+/// What counts as a detection, and what as the same vehicle in both images.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PredictOptions {
+    /// Detections must score above this, 0 to 1.
+    pub confidence: f32,
+    /// Boxes that overlap a better one by more than this intersection over union are dropped.
+    pub iou: f64,
+    /// How left and right detections are paired.
+    pub pairing: PairingConfig,
+}
+
+impl Default for PredictOptions {
+    fn default() -> Self {
+        let nms = NmsConfig::prediction();
+        Self { confidence: nms.confidence, iou: nms.iou, pairing: PairingConfig::default() }
+    }
+}
+
+/// A vehicle seen in both images, and how far it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Vehicle {
+    /// Its box in the left image, pixels.
+    pub left: PixelBox,
+    /// Its box in the right image, pixels.
+    pub right: PixelBox,
+    /// Mean confidence of the two detections, 0 to 1.
+    pub score: f32,
+    /// Class name.
+    pub class: String,
+    /// From the midpoint between the cameras to the centre of the vehicle, metres.
+    pub distance_m: f64,
+}
+
+/// Time spent in each part of an estimate.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct StageTimes {
+    /// Detector on both images, with letterboxing and suppression.
+    pub detect: Duration,
+    /// Pairing of left and right detections.
+    pub pair: Duration,
+    /// Crops and distance network.
+    pub range: Duration,
+}
+
+/// Finds vehicles in a stereo pair and says how far they are.
+///
+/// ```no_run
+/// use twinsight::device::DeviceName;
+/// use twinsight::imaging::load_pair;
+/// use twinsight::pipeline::StereoRanger;
+///
+/// # fn main() -> twinsight::Result<()> {
+/// let device = DeviceName::FLEX.open()?;
+/// let ranger = StereoRanger::load("checkpoints/quick", &device)?;
+/// let [left, right] = load_pair("left.png", "right.png")?;
+/// for vehicle in ranger.estimate(&left, &right)? {
+///     println!("{} at {:.1} m", vehicle.class, vehicle.distance_m);
+/// }
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone)]
+pub struct StereoRanger {
+    detector: VehicleDetector,
+    estimator: DistanceEstimator,
+    options: PredictOptions,
+}
+
+impl StereoRanger {
+    /// Loads the best weights of a run folder.
+    ///
+    /// # Errors
+    /// A folder without both networks, or weights that cannot be used.
+    pub fn load(run: impl AsRef<Path>, device: &Device) -> Result<Self> {
+        let run = run.as_ref();
+        let [detector, distance] = ["detector", "distance"].map(|stage| {
+            let path = StageFolder::new(run, stage).best();
+            if path.exists() {
+                return Ok(path);
+            }
+            Err(Error::weights(
+                path,
+                "does not exist",
+                format!("train this run's {stage} first: twinsight train {stage} --run {}", run.display()),
+            ))
+        });
+        Self::new(
+            VehicleDetector::load(&detector?, device)?,
+            DistanceEstimator::load(&distance?, device)?,
+        )
+    }
+
+    /// Joins two networks that were trained for the same rig.
+    ///
+    /// # Errors
+    /// Networks trained for different rigs or kinds of box.
+    pub fn new(detector: VehicleDetector, estimator: DistanceEstimator) -> Result<Self> {
+        let (a, b) = (detector.header(), estimator.header());
+        if a.rig != b.rig || a.box_kind != b.box_kind {
+            return Err(Error::value(
+                "run",
+                "its detector and its distance network were trained for different rigs or kinds of box",
+                "train both on the same dataset with the same settings",
+            ));
+        }
+        Ok(Self { detector, estimator, options: PredictOptions::default() })
+    }
+
+    /// The same with other options.
+    #[must_use]
+    pub fn with_options(mut self, options: PredictOptions) -> Self {
+        self.options = options;
+        self
+    }
+
+    /// The rig that the networks were trained for.
+    pub fn rig(&self) -> &StereoRig {
+        &self.detector.header().rig
+    }
+
+    /// The detector alone.
+    pub fn detector(&self) -> &VehicleDetector {
+        &self.detector
+    }
+
+    /// The distance network alone.
+    pub fn estimator(&self) -> &DistanceEstimator {
+        &self.estimator
+    }
+
+    /// Vehicles that are seen in both images, nearest first.
+    ///
+    /// # Errors
+    /// Images of different or impossible sizes, or a device that fails.
+    pub fn estimate(&self, left: &RgbImage, right: &RgbImage) -> Result<Vec<Vehicle>> {
+        Ok(self.estimate_timed(left, right)?.0)
+    }
+
+    /// [`StereoRanger::estimate`], also saying where the time went.
+    ///
+    /// # Errors
+    /// As [`StereoRanger::estimate`].
+    pub fn estimate_timed(
+        &self,
+        left: &RgbImage,
+        right: &RgbImage,
+    ) -> Result<(Vec<Vehicle>, StageTimes)> {
+        if left.dimensions() != right.dimensions() {
+            return Err(Error::value(
+                format!("pair of {:?} and {:?} pixels", left.dimensions(), right.dimensions()),
+                "the two images differ in size",
+                "give the left and the right image of one capture",
+            ));
+        }
+        let started = Instant::now();
+        let nms = NmsConfig {
+            confidence: self.options.confidence,
+            iou: self.options.iou,
+            ..NmsConfig::prediction()
+        };
+        let mut found = self.detector.detect(&[left, right], &nms)?.into_iter();
+        let (left_boxes, right_boxes) =
+            (found.next().unwrap_or_default(), found.next().unwrap_or_default());
+        let detect = started.elapsed();
+
+        let started = Instant::now();
+        let rig = self.rig_for(left.dimensions())?;
+        let pairs = pair(&left_boxes, &right_boxes, &rig, &self.options.pairing).pairs;
+        let paired = started.elapsed();
+
+        let started = Instant::now();
+        let pairs: Vec<(Detection, Detection)> =
+            pairs.into_iter().map(|(l, r, _)| (left_boxes[l], right_boxes[r])).collect();
+        let sightings: Vec<Sighting> = pairs
+            .iter()
+            .map(|(l, r)| Sighting { images: [left, right], boxes: [l.box_pixel, r.box_pixel] })
+            .collect();
+        let distances_m = self.estimator.estimate(&sightings)?;
+        let classes = &self.detector.header().classes;
+        let mut vehicles: Vec<Vehicle> = pairs
+            .into_iter()
+            .zip(distances_m)
+            .map(|((l, r), distance_m)| Vehicle {
+                left: l.box_pixel,
+                right: r.box_pixel,
+                score: f32::midpoint(l.score, r.score),
+                class: classes.get(l.class).cloned().unwrap_or_default(),
+                distance_m,
+            })
+            .collect();
+        vehicles.sort_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
+        Ok((vehicles, StageTimes { detect, pair: paired, range: started.elapsed() }))
+    }
+
+    /// The trained rig at another resolution of the same field of view.
+    fn rig_for(&self, (width, height): (u32, u32)) -> Result<StereoRig> {
+        let rig = *self.rig();
+        if (rig.left.width, rig.left.height) == (width, height) {
+            return Ok(rig);
+        }
+        let scale_x = f64::from(width) / f64::from(rig.left.width);
+        let scale_y = f64::from(height) / f64::from(rig.left.height);
+        let mut settings = RigSettings::from(rig);
+        (settings.width, settings.height) = (width, height);
+        for camera in [&mut settings.left, &mut settings.right].into_iter().flatten() {
+            camera.focal_x_px *= scale_x;
+            camera.center_x_px *= scale_x;
+            camera.focal_y_px *= scale_y;
+            camera.center_y_px *= scale_y;
+        }
+        settings.try_into()
+    }
+}

@@ -1,0 +1,145 @@
+//! A trained distance network ready for use: pairs of boxes to metres.
+
+use std::path::Path;
+
+use burn::module::Module as _;
+use burn::tensor::{Device, Tensor, TensorData};
+use image::RgbImage;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::{RangingConfig, RangingNetwork};
+use crate::dataset::{BoxKind, CompositeSize, composite_into_planes, geometry_vector};
+use crate::error::{Error, Result};
+use crate::geometry::{PixelBox, StereoRig};
+use crate::imaging::ChannelStatistics;
+use crate::weights::StateDict;
+
+/// Composites that run as one batch.
+const BATCH: usize = 16;
+
+/// What the distance network's weights file says of itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RangingHeader {
+    /// Always "twin".
+    pub network: String,
+    /// Version of the program that wrote it.
+    pub version: String,
+    /// Size of the composite, "height x width".
+    pub composite: CompositeSize,
+    /// Per-channel mean and deviation that normalise the composite.
+    pub normalization: ChannelStatistics,
+    /// Kind of box it was trained on.
+    pub box_kind: BoxKind,
+    /// Class names of the vehicles it was trained on.
+    pub classes: Vec<String>,
+    /// Rig it was trained for.
+    pub rig: StereoRig,
+}
+
+impl RangingHeader {
+    /// The network's name in headers.
+    pub const NETWORK: &'static str = "twin";
+}
+
+/// A vehicle seen in both images.
+#[derive(Debug, Clone, Copy)]
+pub struct Sighting<'a> {
+    /// Left and right image.
+    pub images: [&'a RgbImage; 2],
+    /// Its box in the left and in the right image, pixels.
+    pub boxes: [PixelBox; 2],
+}
+
+/// A trained distance network.
+#[derive(Debug, Clone)]
+pub struct DistanceEstimator {
+    network: RangingNetwork,
+    header: RangingHeader,
+    device: Device,
+}
+
+impl DistanceEstimator {
+    /// Wraps a network for inference on its device.
+    pub fn new(network: &RangingNetwork, header: RangingHeader, device: &Device) -> Self {
+        let device = device.clone().without_autodiff();
+        Self { network: network.valid(), header, device }
+    }
+
+    /// Loads weights that training wrote.
+    ///
+    /// # Errors
+    /// A file that is missing, damaged or of another network.
+    pub fn load(path: &Path, device: &Device) -> Result<Self> {
+        let state = StateDict::load(path)?;
+        let header: Option<RangingHeader> = state.header()?;
+        let Some(header) = header.filter(|header| header.network == RangingHeader::NETWORK) else {
+            return Err(Error::weights(
+                path,
+                "does not say what it was trained for",
+                "give the distance weights that `train` wrote",
+            ));
+        };
+        let fresh = RangingConfig::for_size(header.composite).init(device)?;
+        let network = state.apply(fresh, str::to_owned)?;
+        Ok(Self::new(&network, header, device))
+    }
+
+    /// Saves weights with their header.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn save(network: &RangingNetwork, header: &RangingHeader, path: &Path) -> Result<()> {
+        StateDict::of(network, str::to_owned).with_header(header)?.save(path)
+    }
+
+    /// What the weights were trained for.
+    pub fn header(&self) -> &RangingHeader {
+        &self.header
+    }
+
+    /// The distance of each vehicle, metres.
+    ///
+    /// # Errors
+    /// A device that fails.
+    pub fn estimate(&self, sightings: &[Sighting]) -> Result<Vec<f64>> {
+        let mut distances_m = Vec::with_capacity(sightings.len());
+        for batch in sightings.chunks(BATCH) {
+            let (composites, geometry) =
+                stack(batch, self.header.composite, &self.header.normalization, &self.device);
+            let estimated = self.network.forward(composites, geometry);
+            let values = estimated.try_into_vec_as::<f32>().map_err(|source| {
+                Error::device(format!("{:?}", self.device), source.to_string(), "try another device")
+            })?;
+            distances_m.extend(values.into_iter().map(f64::from));
+        }
+        Ok(distances_m)
+    }
+}
+
+/// Composites `[batch, 3, height, width]`, normalised, and geometry vectors `[batch, 2]`.
+fn stack(
+    sightings: &[Sighting],
+    size: CompositeSize,
+    normalization: &ChannelStatistics,
+    device: &Device,
+) -> (Tensor<4>, Tensor<2>) {
+    let mut planes = vec![0.0; sightings.len() * size.plane_values()];
+    planes.par_chunks_exact_mut(size.plane_values()).zip(sightings).for_each(|(planes, sighting)| {
+        let [left, right] = &sighting.boxes;
+        composite_into_planes(sighting.images, [left, right], size, normalization, planes);
+    });
+    let geometry: Vec<f32> = sightings
+        .iter()
+        .flat_map(|sighting| {
+            let (width, height) = sighting.images[0].dimensions();
+            geometry_vector(&sighting.boxes[0], &sighting.boxes[1], width, height)
+        })
+        .collect();
+    let shape = [sightings.len(), 3, size.height as usize, size.width as usize];
+    (
+        Tensor::from_data(TensorData::new(planes, shape), device),
+        Tensor::from_data(TensorData::new(geometry, [sightings.len(), 2]), device),
+    )
+}

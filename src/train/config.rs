@@ -1,0 +1,268 @@
+//! All settings of a training run, in one typed place: a preset, a TOML file, flags, in that
+//! order.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::dataset::{BoxKind, CompositeSize, SplitBy};
+use crate::detector::Scale;
+use crate::error::{Error, Result};
+use crate::files;
+
+/// The presets that come with the program.
+const PRESETS: [(&str, &str); 2] = [
+    ("quick", include_str!("presets/quick.toml")),
+    ("paper", include_str!("presets/paper.toml")),
+];
+
+/// Settings of a training run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// Which of a dataset's two kinds of box is learnt.
+    pub box_kind: BoxKind,
+    /// Divides frames anew between training and validation; absent keeps the dataset's own split.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub split: Option<SplitBy>,
+    /// Decoded images kept in memory, MiB.
+    pub cache_mib: usize,
+    /// The detector's training.
+    pub detector: DetectorTraining,
+    /// The distance network's training.
+    pub distance: DistanceTraining,
+}
+
+/// How the learning rate falls after the warm-up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Schedule {
+    /// In a straight line.
+    Linear,
+    /// Along half a cosine.
+    Cosine,
+}
+
+/// Settings of the detector's training.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DetectorTraining {
+    /// Size of the network.
+    pub scale: Scale,
+    /// Long side of the network's input, pixels; the short side follows from the images, both are
+    /// rounded up to multiples of 32.
+    pub image_size: u32,
+    /// Passes over the training images.
+    pub epochs: u32,
+    /// Images per optimiser step.
+    pub batch: usize,
+    /// Images per forward pass; gradients are accumulated to the batch. Less saves memory.
+    pub micro_batch: usize,
+    /// Adam's learning rate.
+    pub learning_rate: f64,
+    /// Last learning rate as a share of the first.
+    pub final_learning_rate: f64,
+    /// How the learning rate falls.
+    pub schedule: Schedule,
+    /// Epochs over which the learning rate rises.
+    pub warmup_epochs: f64,
+    /// L2 penalty on convolution weights.
+    pub weight_decay: f64,
+    /// Gradients longer than this are scaled down, as one vector over all parameters.
+    pub clip_norm: f64,
+    /// Longest memory of the averaged weights that are validated and saved, as a decay.
+    pub ema_decay: f64,
+    /// Updates over which the average's memory grows.
+    pub ema_ramp: f64,
+    /// Validate every so many epochs; the last one always is.
+    pub validate_every: u32,
+    /// Largest change of hue, saturation and value, as shares.
+    pub hsv: [f64; 3],
+    /// Largest change of size, as a share.
+    pub zoom: f64,
+    /// Largest shift, as a share of the input's sides.
+    pub shift: f64,
+    /// Probability of a horizontal flip.
+    pub flip: f64,
+    /// Weights to start from: safetensors with the published names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weights: Option<PathBuf>,
+}
+
+/// Settings of the distance network's training.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DistanceTraining {
+    /// Size of the composites.
+    pub composite: CompositeSize,
+    /// Passes over the training vehicles.
+    pub epochs: u32,
+    /// Composites per optimiser step.
+    pub batch: usize,
+    /// Composites per forward pass; gradients are accumulated to the batch. Less saves memory.
+    pub micro_batch: usize,
+    /// Adam's learning rate.
+    pub learning_rate: f64,
+    /// Last learning rate as a share of the first.
+    pub final_learning_rate: f64,
+    /// How the learning rate falls.
+    pub schedule: Schedule,
+    /// Start from the last layer that fits the training distances best (ridge regression), rather
+    /// than from random numbers: metres are large numbers, and Adam walks there slowly.
+    pub fit_readout: bool,
+    /// Spread of the boxes' edges around the labels, as a share of the box: imitates the
+    /// detector's errors. 0 trains on the labels' boxes alone.
+    pub box_jitter: f64,
+    /// Largest change of brightness and of contrast, as shares, the same for both crops.
+    pub photometric: f64,
+    /// Probability of the flip that keeps stereo true: both images mirrored, left and right
+    /// exchanged.
+    pub flip: f64,
+    /// Validate every so many epochs; the last one always is.
+    pub validate_every: u32,
+}
+
+impl TrainConfig {
+    /// The settings of a preset: `quick` or `paper`.
+    ///
+    /// # Errors
+    /// A name that is not a preset.
+    pub fn preset(name: &str) -> Result<Self> {
+        Self::resolve(Some(name), None, &toml::Table::new())
+    }
+
+    /// Resolves a preset (default `quick`), then a TOML file, then single settings, each over the
+    /// ones before. A file or table gives only what it changes.
+    ///
+    /// # Errors
+    /// An unknown preset or setting, a file that cannot be read, a value that cannot be used.
+    pub fn resolve(preset: Option<&str>, file: Option<&Path>, flags: &toml::Table) -> Result<Self> {
+        let name = preset.unwrap_or("quick");
+        let Some((_, text)) = PRESETS.iter().find(|(preset, _)| *preset == name) else {
+            let names: Vec<&str> = PRESETS.iter().map(|(name, _)| *name).collect();
+            return Err(Error::value(
+                format!("preset {name}"),
+                "there is no such preset",
+                format!("give one of {}", names.join(", ")),
+            ));
+        };
+        let invalid = |what: String, source: toml::de::Error| {
+            Error::value(what, source.to_string().trim().to_owned(), "correct the setting")
+        };
+        let mut table: toml::Table =
+            toml::from_str(text).map_err(|source| invalid(format!("preset {name}"), source))?;
+        let mut origin = format!("preset {name}");
+        if let Some(path) = file {
+            origin = format!("config {}", path.display());
+            let text = files::read_text(path)?;
+            let changes = toml::from_str(&text).map_err(|source| invalid(origin.clone(), source))?;
+            overlay(&mut table, &changes);
+        }
+        overlay(&mut table, flags);
+        let config: Self = table.try_into().map_err(|source| invalid(origin, source))?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// Names the first value that cannot be used.
+    pub fn validate(&self) -> Result<()> {
+        let (detector, distance) = (&self.detector, &self.distance);
+        let share = 0.0..=1.0;
+        let checks = [
+            ("detector.image_size", f64::from(detector.image_size), 32.0..=8192.0),
+            ("detector.epochs", f64::from(detector.epochs), 1.0..=1e6),
+            ("detector.batch", detector.batch as f64, 1.0..=4096.0),
+            ("detector.micro_batch", detector.micro_batch as f64, 1.0..=detector.batch.max(1) as f64),
+            ("detector.learning_rate", detector.learning_rate, 1e-9..=1.0),
+            ("detector.final_learning_rate", detector.final_learning_rate, share.clone()),
+            ("detector.warmup_epochs", detector.warmup_epochs, 0.0..=1e6),
+            ("detector.weight_decay", detector.weight_decay, share.clone()),
+            ("detector.clip_norm", detector.clip_norm, 1e-6..=1e9),
+            ("detector.ema_decay", detector.ema_decay, share.clone()),
+            ("detector.ema_ramp", detector.ema_ramp, 1.0..=1e9),
+            ("detector.validate_every", f64::from(detector.validate_every), 1.0..=1e6),
+            ("detector.hsv hue", detector.hsv[0], share.clone()),
+            ("detector.hsv saturation", detector.hsv[1], share.clone()),
+            ("detector.hsv value", detector.hsv[2], share.clone()),
+            ("detector.zoom", detector.zoom, 0.0..=0.9),
+            ("detector.shift", detector.shift, 0.0..=0.5),
+            ("detector.flip", detector.flip, share.clone()),
+            ("distance.epochs", f64::from(distance.epochs), 1.0..=1e6),
+            ("distance.batch", distance.batch as f64, 1.0..=4096.0),
+            ("distance.micro_batch", distance.micro_batch as f64, 1.0..=distance.batch.max(1) as f64),
+            ("distance.learning_rate", distance.learning_rate, 1e-9..=1.0),
+            ("distance.final_learning_rate", distance.final_learning_rate, share.clone()),
+            ("distance.box_jitter", distance.box_jitter, 0.0..=0.5),
+            ("distance.photometric", distance.photometric, 0.0..=0.9),
+            ("distance.flip", distance.flip, share),
+            ("distance.validate_every", f64::from(distance.validate_every), 1.0..=1e6),
+        ];
+        for (name, value, range) in checks {
+            if !range.contains(&value) {
+                return Err(Error::value(
+                    format!("{name} = {value}"),
+                    "out of range",
+                    format!("give a value between {} and {}", range.start(), range.end()),
+                ));
+            }
+        }
+        CompositeSize::new(distance.composite.height, distance.composite.width)?;
+        Ok(())
+    }
+}
+
+/// Puts `changes` over `base`, table by table.
+fn overlay(base: &mut toml::Table, changes: &toml::Table) {
+    for (key, value) in changes {
+        match (base.get_mut(key), value) {
+            (Some(toml::Value::Table(base)), toml::Value::Table(changes)) => overlay(base, changes),
+            _ => {
+                base.insert(key.clone(), value.clone());
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_is_valid_and_uses_the_paper_optimiser_settings() {
+        for (name, _) in PRESETS {
+            let config = TrainConfig::preset(name).unwrap();
+            assert_eq!((config.detector.batch, config.distance.batch), (16, 16));
+            assert_eq!(config.detector.learning_rate, 0.001);
+            assert_eq!(config.distance.learning_rate, 0.001);
+        }
+    }
+
+    #[test]
+    fn flags_go_over_the_file_and_the_file_over_the_preset() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("my.toml");
+        std::fs::write(&path, "seed = 7\n[detector]\nepochs = 3\nscale = \"s\"\n").unwrap();
+        let flags = toml::from_str("[detector]\nepochs = 5\n").unwrap();
+        let config = TrainConfig::resolve(Some("quick"), Some(&path), &flags).unwrap();
+        assert_eq!(config.seed, 7);
+        assert_eq!(config.detector.epochs, 5);
+        assert_eq!(config.detector.scale, Scale::S);
+        assert_eq!(config.distance, TrainConfig::preset("quick").unwrap().distance);
+    }
+
+    #[test]
+    fn an_unknown_setting_and_a_value_out_of_range_are_named() {
+        let resolve = |text: &str| {
+            let flags = toml::from_str(text).unwrap();
+            TrainConfig::resolve(None, None, &flags).unwrap_err().to_string()
+        };
+        assert!(resolve("[detector]\nepoch = 5\n").contains("epoch"));
+        assert!(resolve("[detector]\nlearning_rate = 0.0\n").contains("detector.learning_rate = 0"));
+        assert!(TrainConfig::preset("fast").unwrap_err().to_string().contains("quick, paper"));
+    }
+}

@@ -1,0 +1,343 @@
+//! The distance network's recipe.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use burn::module::Module as _;
+use burn::optim::{AdamConfig, ModuleOptimizer};
+use burn::tensor::{Device, Tensor, TensorData};
+use image::RgbImage;
+use rand::RngExt as _;
+use rand_pcg::Pcg64;
+use rayon::prelude::*;
+
+use super::augment::mirror_composite;
+use super::config::{DistanceTraining, TrainConfig};
+use super::log::EpochRow;
+use super::optimizer::{initialize, scalar};
+use super::readout::fit_readout;
+use super::stage::{PassLoss, Recipe, Steering};
+use crate::dataset::{
+    CompositeStatistics, Frame, Split, StereoDataset, StereoLabel, composite_into_planes,
+    geometry_vector, is_prepared, prepare,
+};
+use crate::error::{Error, Result};
+use crate::geometry::{PixelBox, StereoRig};
+use crate::imaging::ChannelStatistics;
+use crate::metrics::DistanceErrors;
+use crate::progress::Progress;
+use crate::ranging::{DistanceEstimator, RangingConfig, RangingHeader, RangingNetwork, ranging_loss};
+
+/// Decay rates of Adam's moments: the usual ones.
+const BETAS: [f32; 2] = [0.9, 0.999];
+/// Adam's guard against division by zero.
+const EPSILON: f32 = 1e-8;
+
+/// A labelled vehicle in its frame.
+#[derive(Debug, Clone)]
+struct Vehicle {
+    frame: Arc<Frame>,
+    label: StereoLabel,
+}
+
+/// Training vehicles, augmentation and loss of the distance network.
+pub struct DistanceRecipe {
+    settings: DistanceTraining,
+    seed: u64,
+    device: Device,
+    rig: StereoRig,
+    train: Vec<Vehicle>,
+    val: Vec<Vehicle>,
+    frames: FrameCache,
+    header: RangingHeader,
+}
+
+impl DistanceRecipe {
+    /// Opens the data of a dataset for the distance network; writes the composites and their
+    /// statistics first where they are missing.
+    ///
+    /// # Errors
+    /// A dataset without training vehicles, or composites that cannot be written.
+    pub fn new(
+        config: &TrainConfig,
+        dataset: &StereoDataset,
+        device: &Device,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let settings = config.distance.clone();
+        if !is_prepared(dataset, config.box_kind, settings.composite) {
+            let report = prepare(dataset, config.box_kind, settings.composite, progress)?;
+            for problem in &report.problems {
+                progress.note(&format!("left out: {problem}"));
+            }
+        }
+        let vehicles = |split| -> Vec<Vehicle> {
+            dataset
+                .split(split)
+                .into_iter()
+                .flat_map(|frame| {
+                    let shared = Arc::new(frame.clone());
+                    frame
+                        .vehicles(config.box_kind)
+                        .into_iter()
+                        .map(move |label| Vehicle { frame: Arc::clone(&shared), label })
+                })
+                .collect()
+        };
+        let train = vehicles(Split::Train);
+        let statistics = CompositeStatistics::read(&dataset.folder)?.train;
+        let Some(normalization) = statistics.filter(|_| !train.is_empty()) else {
+            return Err(Error::dataset(
+                &dataset.folder,
+                "has no vehicle that is labelled in both images of a training frame",
+                "give a dataset with training frames",
+            ));
+        };
+        Ok(Self {
+            seed: config.seed,
+            device: device.clone().autodiff(),
+            rig: *dataset.rig(),
+            train,
+            val: vehicles(Split::Val),
+            frames: FrameCache::new(config.cache_mib << 20),
+            header: RangingHeader {
+                network: RangingHeader::NETWORK.to_owned(),
+                version: env!("CARGO_PKG_VERSION").to_owned(),
+                composite: settings.composite,
+                normalization,
+                box_kind: config.box_kind,
+                classes: dataset.classes().to_vec(),
+                rig: *dataset.rig(),
+            },
+            settings,
+        })
+    }
+
+    /// The network to start from.
+    ///
+    /// # Errors
+    /// A frame that cannot be read, or a device that fails.
+    pub fn model(&self, progress: &dyn Progress) -> Result<RangingNetwork> {
+        self.device.seed(self.seed);
+        let network = RangingConfig::for_size(self.settings.composite).init(&self.device)?;
+        initialize(&network);
+        if !self.settings.fit_readout {
+            return Ok(network);
+        }
+        progress.begin("distance, first fit", self.train.len() as u64);
+        let inference = network.valid();
+        let device = self.device.clone().without_autodiff();
+        let mut rows = Vec::new();
+        for vehicles in self.train.chunks(self.settings.micro_batch) {
+            let batch = self.load(vehicles, None, &device)?;
+            let features = inference.features(batch.composites).fc2;
+            let all = Tensor::cat(vec![features, batch.geometry], 1);
+            let [_, width] = all.dims();
+            let values = all.try_into_vec_as::<f64>().map_err(|source| {
+                Error::training(source.to_string(), "try another device")
+            })?;
+            rows.extend(values.chunks_exact(width).map(<[f64]>::to_vec));
+            progress.advance(vehicles.len() as u64);
+        }
+        progress.end();
+        let distances: Vec<f64> = self.train.iter().map(|vehicle| vehicle.label.distance_m).collect();
+        fit_readout(network, &rows, &distances)
+    }
+
+    /// Adam.
+    pub fn optimizer(&self) -> ModuleOptimizer {
+        AdamConfig::new().with_beta_1(BETAS[0]).with_beta_2(BETAS[1]).with_epsilon(EPSILON).init()
+    }
+
+    /// The numbers that steer the stage.
+    pub fn steering(&self) -> Steering {
+        let settings = &self.settings;
+        Steering {
+            seed: self.seed,
+            epochs: settings.epochs,
+            batch: settings.batch,
+            micro_batch: settings.micro_batch,
+            learning_rate: settings.learning_rate,
+            final_learning_rate: settings.final_learning_rate,
+            schedule: settings.schedule,
+            warmup_epochs: 0.0,
+            clip_norm: None,
+            average: None,
+            validate_every: settings.validate_every,
+            settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }),
+        }
+    }
+
+    /// Loads composites; with an epoch they are changed at random.
+    fn load(&self, vehicles: &[Vehicle], epoch: Option<(u32, &[usize])>, device: &Device) -> Result<Batch> {
+        let size = self.settings.composite;
+        let mut planes = vec![0.0; vehicles.len() * size.plane_values()];
+        let geometry = planes
+            .par_chunks_exact_mut(size.plane_values())
+            .zip(vehicles)
+            .enumerate()
+            .map(|(position, (planes, vehicle))| {
+                let images = self.frames.load(&vehicle.frame, &self.rig)?;
+                let mut boxes = [vehicle.label.left.box_pixel, vehicle.label.right.box_pixel];
+                let mut random = epoch.map(|(epoch, items)| {
+                    let stream = (u128::from(epoch) << 64) | items[position] as u128;
+                    Pcg64::new(u128::from(self.seed) + 1, stream)
+                });
+                if let Some(random) = &mut random {
+                    boxes = boxes.map(|area| self.jitter(area, random));
+                }
+                let [left, right] = &boxes;
+                let normalization = &self.header.normalization;
+                composite_into_planes([&images[0], &images[1]], [left, right], size, normalization, planes);
+                if let Some(random) = &mut random {
+                    self.change(planes, random);
+                }
+                let (width, height) = images[0].dimensions();
+                Ok(geometry_vector(left, right, width, height))
+            })
+            .collect::<Result<Vec<[f32; 2]>>>()?;
+        let distances: Vec<f32> =
+            vehicles.iter().map(|vehicle| vehicle.label.distance_m as f32).collect();
+        let count = vehicles.len();
+        let shape = [count, 3, size.height as usize, size.width as usize];
+        Ok(Batch {
+            composites: Tensor::from_data(TensorData::new(planes, shape), device),
+            geometry: Tensor::from_data(TensorData::new(geometry.concat(), [count, 2]), device),
+            distances_m: Tensor::from_data(TensorData::new(distances, [count, 1]), device),
+        })
+    }
+
+    /// Moves the edges of a box as a detector's errors do.
+    fn jitter(&self, area: PixelBox, random: &mut Pcg64) -> PixelBox {
+        let mut moved = |edge: f64, side: f64| {
+            // The sum of three uniform numbers is close to normal, and bounded.
+            let error: f64 = (0..3).map(|_| random.random_range(-1.0..1.0)).sum();
+            edge + self.settings.box_jitter * side * error
+        };
+        let (width, height) = (area.width(), area.height());
+        PixelBox::new(
+            moved(area.x_min, width),
+            moved(area.y_min, height),
+            moved(area.x_max, width),
+            moved(area.y_max, height),
+        )
+    }
+
+    /// Changes brightness and contrast, and mirrors.
+    fn change(&self, planes: &mut [f32], random: &mut Pcg64) {
+        let size = self.settings.composite;
+        let strength = self.settings.photometric;
+        let contrast = 1.0 + strength * random.random_range(-1.0..1.0);
+        let brightness = 0.5 * strength * random.random_range(-1.0..1.0);
+        let ChannelStatistics { mean, std } = self.header.normalization;
+        let area = size.height as usize * size.width as usize;
+        for (channel, plane) in planes.chunks_exact_mut(area).enumerate() {
+            // In pixel values: contrast * value + brightness; here the values are normalised.
+            let shift = (mean[channel] * (contrast - 1.0) + brightness) / std[channel].max(1e-6);
+            plane.iter_mut().for_each(|value| *value = *value * contrast as f32 + shift as f32);
+        }
+        if random.random_bool(self.settings.flip) {
+            mirror_composite(planes, size.height as usize, size.width as usize);
+        }
+    }
+}
+
+/// Composites `[batch, 3, height, width]`, geometry `[batch, 2]`, distances `[batch, 1]`.
+struct Batch {
+    composites: Tensor<4>,
+    geometry: Tensor<2>,
+    distances_m: Tensor<2>,
+}
+
+impl Recipe for DistanceRecipe {
+    type Model = RangingNetwork;
+    const STAGE: &'static str = "distance";
+
+    fn items(&self) -> usize {
+        self.train.len()
+    }
+
+    fn item_name(&self, item: usize) -> String {
+        self.train[item].frame.left.path.display().to_string()
+    }
+
+    fn loss(&self, model: &RangingNetwork, epoch: u32, items: &[usize], share: f64) -> Result<PassLoss> {
+        let vehicles: Vec<Vehicle> = items.iter().map(|&item| self.train[item].clone()).collect();
+        let batch = self.load(&vehicles, Some((epoch, items)), &self.device)?;
+        let predicted = model.forward(batch.composites, batch.geometry);
+        let loss = ranging_loss(predicted, batch.distances_m).total;
+        let reported = scalar(&loss)?;
+        Ok(PassLoss { total: loss.mul_scalar(share), reported, terms: Vec::new() })
+    }
+
+    fn report_terms(&self, _: &[f64], _: &mut EpochRow) {}
+
+    fn validate(&self, model: &RangingNetwork, row: &mut EpochRow) -> Result<Option<f64>> {
+        let device = self.device.clone().without_autodiff();
+        let mut errors = DistanceErrors::new();
+        for vehicles in self.val.chunks(self.settings.micro_batch) {
+            let batch = self.load(vehicles, None, &device)?;
+            let predicted = model.forward(batch.composites, batch.geometry);
+            let values = predicted
+                .try_into_vec_as::<f64>()
+                .map_err(|source| Error::training(source.to_string(), "try another device"))?;
+            for (estimated_m, vehicle) in values.into_iter().zip(vehicles) {
+                errors.add(estimated_m, vehicle.label.distance_m);
+            }
+        }
+        let Some(summary) = errors.summary() else {
+            return Ok(None);
+        };
+        row.mae_m = Some(summary.mae_m);
+        row.rmse_m = Some(summary.rmse_m);
+        row.mre_percent = Some(summary.mre_percent);
+        Ok(Some(-summary.mre_percent))
+    }
+
+    fn describe(&self, row: &EpochRow) -> String {
+        match (row.mae_m, row.rmse_m, row.mre_percent) {
+            (Some(mae), Some(rmse), Some(mre)) => {
+                format!(", MAE {mae:.2} m, RMSE {rmse:.2} m, MRE {mre:.1} %")
+            }
+            _ => String::new(),
+        }
+    }
+
+    fn save(&self, model: &RangingNetwork, path: &Path) -> Result<()> {
+        DistanceEstimator::save(model, &self.header, path)
+    }
+}
+
+/// Decoded frames, kept until a budget of bytes is used up.
+struct FrameCache {
+    budget: usize,
+    kept: Mutex<Kept>,
+}
+
+#[derive(Default)]
+struct Kept {
+    bytes: usize,
+    frames: HashMap<u64, Arc<[RgbImage; 2]>>,
+}
+
+impl FrameCache {
+    fn new(budget: usize) -> Self {
+        Self { budget, kept: Mutex::default() }
+    }
+
+    fn load(&self, frame: &Frame, rig: &StereoRig) -> Result<Arc<[RgbImage; 2]>> {
+        let lock = || self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(images) = lock().frames.get(&frame.row.stamp) {
+            return Ok(Arc::clone(images));
+        }
+        let images = Arc::new(frame.load(rig)?);
+        let bytes = images.iter().map(|image| image.as_raw().len()).sum::<usize>();
+        let mut kept = lock();
+        if kept.bytes + bytes <= self.budget && !kept.frames.contains_key(&frame.row.stamp) {
+            kept.bytes += bytes;
+            kept.frames.insert(frame.row.stamp, Arc::clone(&images));
+        }
+        Ok(images)
+    }
+}

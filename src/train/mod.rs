@@ -1,0 +1,17 @@
+//! Training of both networks: settings, recipes, checkpoints, logs.
+
+pub mod augment;
+mod checkpoint;
+mod config;
+mod detector;
+mod distance;
+mod log;
+pub mod optimizer;
+mod readout;
+mod run;
+mod stage;
+
+pub use checkpoint::{StageFolder, StageState};
+pub use config::{DetectorTraining, DistanceTraining, Schedule, TrainConfig};
+pub use log::{EpochRow, RunLog};
+pub use run::{Stage, TrainRequest, TrainSummary, train};

@@ -1,0 +1,186 @@
+//! What happens around an optimiser step: averaged weights, clipping by the global norm, learning
+//! rates.
+
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
+use burn::optim::GradientsParams;
+use burn::tensor::Tensor;
+
+use super::config::Schedule;
+use crate::error::{Error, Result};
+
+/// Factor of the learning rate after so many epochs (fractions allowed) of `epochs`.
+pub fn schedule_factor(schedule: Schedule, epoch: f64, epochs: f64, last: f64) -> f64 {
+    match schedule {
+        Schedule::Linear => (1.0 - epoch / epochs).max(0.0) * (1.0 - last) + last,
+        Schedule::Cosine => {
+            1.0 + (last - 1.0) * (1.0 - (std::f64::consts::PI * epoch / epochs).cos()) / 2.0
+        }
+    }
+}
+
+/// Decay of the averaged weights at update number `update` (from 1): short at first.
+pub fn ema_decay(longest: f64, ramp: f64, update: u64) -> f64 {
+    longest * (1.0 - (-(update as f64) / ramp).exp())
+}
+
+/// An exponential moving average of all floating tensors of a module, running statistics included.
+#[derive(Debug, Clone)]
+pub struct AveragedWeights {
+    values: Vec<Tensor<1>>,
+    /// Updates so far.
+    pub updates: u64,
+    longest: f64,
+    ramp: f64,
+}
+
+impl AveragedWeights {
+    /// Starts at the module's present weights.
+    pub fn new<M: Module>(module: &M, longest: f64, ramp: f64) -> Self {
+        Self { values: flat_values(module), updates: 0, longest, ramp }
+    }
+
+    /// Moves the average towards the module's present weights.
+    pub fn update<M: Module>(&mut self, module: &M) {
+        self.updates += 1;
+        let decay = ema_decay(self.longest, self.ramp, self.updates);
+        for (average, value) in self.values.iter_mut().zip(flat_values(module)) {
+            *average = average.clone().mul_scalar(decay) + value.mul_scalar(1.0 - decay);
+        }
+    }
+
+    /// A copy of the module, for inference, with the averaged weights.
+    pub fn module<M: Module>(&self, module: &M) -> M {
+        struct Fill<'a>(std::slice::Iter<'a, Tensor<1>>);
+        impl ModuleMapper for Fill<'_> {
+            fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+                match self.0.next() {
+                    Some(value) => param.map(|tensor| value.clone().reshape(tensor.dims())),
+                    None => param,
+                }
+            }
+        }
+        module.valid().map(&mut Fill(self.values.iter()))
+    }
+}
+
+/// Every floating tensor, flattened and free of autodiff, in the order of traversal.
+fn flat_values<M: Module>(module: &M) -> Vec<Tensor<1>> {
+    struct Collect(Vec<Tensor<1>>);
+    impl ModuleVisitor for Collect {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let tensor = param.val().without_autodiff();
+            let count = tensor.shape().num_elements();
+            self.0.push(tensor.reshape([count]));
+        }
+    }
+    let mut collect = Collect(Vec::new());
+    module.visit(&mut collect);
+    collect.0
+}
+
+/// Draws every lazily initialised parameter now, so that it depends on the seed alone.
+pub fn initialize<M: Module>(module: &M) {
+    flat_values(module);
+}
+
+/// Scales all gradients so that their global L2 norm is at most `longest`, and returns the norm
+/// before: all of them are multiplied by `min(1, longest / (norm + 1e-6))`.
+///
+/// # Errors
+/// Gradients that cannot be read back from the device.
+pub fn clip_gradients<M: Module>(
+    module: &M,
+    grads: GradientsParams,
+    longest: f64,
+) -> Result<(GradientsParams, f64)> {
+    struct Squares<'a> {
+        grads: &'a GradientsParams,
+        sums: Vec<Tensor<1>>,
+    }
+    impl ModuleVisitor for Squares<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if let Some(grad) = self.grads.get::<D>(param.id) {
+                self.sums.push(grad.square().sum());
+            }
+        }
+    }
+    struct Scale {
+        grads: GradientsParams,
+        factor: f64,
+    }
+    impl ModuleVisitor for Scale {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if let Some(grad) = self.grads.remove::<D>(param.id) {
+                self.grads.register(param.id, grad.mul_scalar(self.factor));
+            }
+        }
+    }
+    let mut squares = Squares { grads: &grads, sums: Vec::new() };
+    module.visit(&mut squares);
+    if squares.sums.is_empty() {
+        return Ok((grads, 0.0));
+    }
+    let norm = scalar(&Tensor::cat(squares.sums, 0).sum())?.sqrt();
+    let factor = (longest / (norm + 1e-6)).min(1.0);
+    if factor >= 1.0 {
+        return Ok((grads, norm));
+    }
+    let mut scale = Scale { grads, factor };
+    module.visit(&mut scale);
+    Ok((scale.grads, norm))
+}
+
+/// Reads one number back from the device.
+///
+/// # Errors
+/// A device that fails.
+pub fn scalar(tensor: &Tensor<1>) -> Result<f64> {
+    tensor.clone().try_into_scalar::<f64>().map_err(|source| {
+        Error::training(
+            format!("cannot read a number back from the device: {source}"),
+            "try a smaller batch or another device",
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nn::DenseConfig;
+    use burn::tensor::Device;
+
+    #[test]
+    fn both_schedules_start_at_one_and_end_at_the_last_rate() {
+        for schedule in [Schedule::Linear, Schedule::Cosine] {
+            assert!((schedule_factor(schedule, 0.0, 30.0, 0.01) - 1.0).abs() < 1e-12);
+            assert!((schedule_factor(schedule, 30.0, 30.0, 0.01) - 0.01).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn clipping_brings_the_global_norm_to_the_limit_and_leaves_short_gradients_alone() {
+        let device = Device::flex().autodiff();
+        let layer = DenseConfig::new(3, 2).init(&device);
+        let grads = |factor: f64| {
+            let input = Tensor::<2>::full([4, 3], factor, &device);
+            let loss = layer.forward(input).sum();
+            GradientsParams::from_grads(loss.backward(), &layer)
+        };
+        let (clipped, before) = clip_gradients(&layer, grads(100.0), 1.0).unwrap();
+        assert!(before > 1.0);
+        let (_, after) = clip_gradients(&layer, clipped, 1e9).unwrap();
+        assert!((after - 1.0).abs() < 1e-5, "{after}");
+        let (_, short) = clip_gradients(&layer, grads(0.0), 10.0).unwrap();
+        assert!((short - 4.0 * 2.0_f64.sqrt()).abs() < 1e-5, "{short}");
+    }
+
+    #[test]
+    fn averaged_weights_of_a_still_module_are_the_module() {
+        let device = Device::flex();
+        let layer = DenseConfig::new(3, 2).init(&device);
+        let mut average = AveragedWeights::new(&layer, 0.9, 10.0);
+        average.update(&layer);
+        let difference = (average.module(&layer).weight.val() - layer.weight.val()).abs().max();
+        assert!(difference.into_scalar::<f32>() < 1e-6);
+    }
+}

@@ -1,0 +1,191 @@
+//! A whole run: data, detector, distance network, and what came of it.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::config::TrainConfig;
+use super::detector::DetectorRecipe;
+use super::distance::DistanceRecipe;
+use super::log::RunLog;
+use super::stage::{Recipe, StageResult, run_stage};
+use crate::dataset::{Split, StereoDataset};
+use crate::device::DeviceName;
+use crate::error::{Error, Result};
+use crate::evaluate::{EvaluateRequest, Evaluation, evaluate};
+use crate::files;
+use crate::progress::Progress;
+
+/// Which networks are trained.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Stage {
+    /// The detector, then the distance network.
+    All,
+    /// The detector alone.
+    Detector,
+    /// The distance network alone.
+    Distance,
+}
+
+/// What to train, on what, and where to.
+#[derive(Debug, Clone, Copy)]
+pub struct TrainRequest<'a> {
+    /// All settings.
+    pub config: &'a TrainConfig,
+    /// Dataset folder.
+    pub data: &'a Path,
+    /// Run folder.
+    pub run: &'a Path,
+    /// Which networks.
+    pub stage: Stage,
+    /// Go on from where a stopped run was.
+    pub resume: bool,
+    /// Where to compute.
+    pub device: DeviceName,
+}
+
+/// What a run came to.
+#[derive(Debug, Clone, Serialize)]
+pub struct TrainSummary {
+    /// Run folder.
+    pub run: PathBuf,
+    /// Dataset folder.
+    pub data: PathBuf,
+    /// Seconds of detector training in this call.
+    pub detector_seconds: Option<f64>,
+    /// Seconds of distance training in this call.
+    pub distance_seconds: Option<f64>,
+    /// The finished run on the validation split; absent while a network is missing.
+    pub evaluation: Option<Evaluation>,
+}
+
+/// Trains a run.
+///
+/// The folder gets `config.json` first, then per stage `best.safetensors`, `last.safetensors` and
+/// the state to resume from, `metrics.csv`, TensorBoard events and at the end `summary.json`.
+///
+/// # Errors
+/// [`Error::Interrupted`] on the user's wish; otherwise whatever stops it.
+pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSummary> {
+    let device = request.device.open()?;
+    request.config.validate()?;
+    let mut dataset = StereoDataset::open(request.data)?;
+    if let Some(split) = request.config.split {
+        dataset.resplit(split, request.config.seed)?;
+    }
+    dataset.check_images(progress)?;
+    for problem in &dataset.problems {
+        progress.note(&format!("left out: {problem}"));
+    }
+    files::create_folder(request.run)?;
+    write_config(request, &dataset)?;
+    let mut log = RunLog::open(request.run)?;
+    let mut summary = TrainSummary {
+        run: request.run.to_path_buf(),
+        data: request.data.to_path_buf(),
+        detector_seconds: None,
+        distance_seconds: None,
+        evaluation: None,
+    };
+    if request.stage != Stage::Distance {
+        let recipe = DetectorRecipe::new(request.config, &dataset, &device)?;
+        announce(&recipe, progress);
+        let result = run_stage(
+            &recipe,
+            &recipe.steering(),
+            recipe.model(progress)?,
+            recipe.optimizer()?,
+            request.run,
+            request.resume,
+            &mut log,
+            progress,
+        )?;
+        summary.detector_seconds = Some(result.seconds);
+        announce_best::<DetectorRecipe>(&result, progress);
+    }
+    if request.stage != Stage::Detector {
+        let recipe = DistanceRecipe::new(request.config, &dataset, &device, progress)?;
+        announce(&recipe, progress);
+        let result = run_stage(
+            &recipe,
+            &recipe.steering(),
+            recipe.model(progress)?,
+            recipe.optimizer(),
+            request.run,
+            request.resume,
+            &mut log,
+            progress,
+        )?;
+        summary.distance_seconds = Some(result.seconds);
+        announce_best::<DistanceRecipe>(&result, progress);
+    }
+    let complete = ["detector", "distance"]
+        .iter()
+        .all(|stage| super::StageFolder::new(request.run, stage).best().exists());
+    if complete && !dataset.split(Split::Val).is_empty() {
+        summary.evaluation = Some(evaluate(
+            &EvaluateRequest {
+                run: request.run,
+                data: request.data,
+                split: Split::Val,
+                device: request.device,
+            },
+            progress,
+        )?);
+    }
+    write_json(&request.run.join("summary.json"), &summary)?;
+    Ok(summary)
+}
+
+fn announce<R: Recipe>(recipe: &R, progress: &dyn Progress) {
+    progress.note(&format!("{}: {} training images", R::STAGE, recipe.items()));
+}
+
+fn announce_best<R: Recipe>(result: &StageResult, progress: &dyn Progress) {
+    if let Some((_, epoch)) = result.best {
+        progress.note(&format!("{}: best weights are those of epoch {epoch}", R::STAGE));
+    }
+}
+
+/// `config.json`: the settings and what they were applied to.
+fn write_config(request: &TrainRequest, dataset: &StereoDataset) -> Result<()> {
+    let config = serde_json::json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "config": request.config,
+        "stage": request.stage,
+        "device": request.device.to_string(),
+        "data": request.data,
+        "dataset": {
+            "classes": dataset.classes(),
+            "rig": dataset.rig(),
+            "frames": dataset.frames.len(),
+            "left_out": dataset.problems.len(),
+        },
+    });
+    write_json(&request.run.join("config.json"), &config)
+}
+
+fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    let json = serde_json::to_vec_pretty(value).map_err(|source| {
+        Error::training(format!("cannot encode {}: {source}", path.display()), "report this as a defect")
+    })?;
+    files::write_atomically(path, &json)
+}
+
+impl fmt::Display for TrainSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (stage, seconds) in
+            [("detector", self.detector_seconds), ("distance", self.distance_seconds)]
+        {
+            if let Some(seconds) = seconds {
+                writeln!(f, "{stage:<10} trained in {:.1} minutes", seconds / 60.0)?;
+            }
+        }
+        match &self.evaluation {
+            Some(evaluation) => write!(f, "{evaluation}"),
+            None => write!(f, "not evaluated: the run does not have both networks yet"),
+        }
+    }
+}

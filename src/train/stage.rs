@@ -1,0 +1,327 @@
+//! The training loop, one for both networks: epochs, steps, accumulation, validation, saving.
+
+use std::path::Path;
+use std::time::Instant;
+
+use burn::module::Module;
+use burn::optim::{GradientsAccumulator, GradientsParams, ModuleOptimizer};
+use burn::tensor::Tensor;
+use burn_dataset::transform::ShuffledDataset;
+use burn_dataset::{Dataset, InMemDataset};
+
+use super::checkpoint::{StageFolder, StageState};
+use super::config::Schedule;
+use super::log::{EpochRow, RunLog};
+use super::optimizer::{AveragedWeights, clip_gradients, initialize, schedule_factor};
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+
+/// The numbers that steer a stage.
+#[derive(Debug, Clone)]
+pub struct Steering {
+    /// Seed of the data's order; the recipe's own randomness follows from it too.
+    pub seed: u64,
+    /// Passes over the data.
+    pub epochs: u32,
+    /// Items per optimiser step.
+    pub batch: usize,
+    /// Items per forward pass.
+    pub micro_batch: usize,
+    /// First learning rate.
+    pub learning_rate: f64,
+    /// Last learning rate as a share of the first.
+    pub final_learning_rate: f64,
+    /// How it falls.
+    pub schedule: Schedule,
+    /// Epochs over which it rises.
+    pub warmup_epochs: f64,
+    /// Longest global gradient norm, if limited.
+    pub clip_norm: Option<f64>,
+    /// Decay and ramp of averaged weights, if averaged.
+    pub average: Option<(f64, f64)>,
+    /// Validate every so many epochs.
+    pub validate_every: u32,
+    /// The stage's settings, to notice on resuming that they changed.
+    pub settings: serde_json::Value,
+}
+
+/// The loss of one forward pass.
+pub struct PassLoss {
+    /// What to differentiate, `[1]`.
+    pub total: Tensor<1>,
+    /// The loss to report, per item.
+    pub reported: f64,
+    /// Further terms to report, in the recipe's order.
+    pub terms: Vec<f64>,
+}
+
+/// What differs between the networks.
+pub trait Recipe {
+    /// The network.
+    type Model: Module;
+
+    /// Folder and log name of the stage.
+    const STAGE: &'static str;
+
+    /// Number of training items.
+    fn items(&self) -> usize;
+
+    /// What an item is called in messages: its files.
+    fn item_name(&self, item: usize) -> String;
+
+    /// Loads the items and computes their loss; `share` is their part of the optimiser step.
+    ///
+    /// # Errors
+    /// An item that cannot be loaded, or a device that fails.
+    fn loss(&self, model: &Self::Model, epoch: u32, items: &[usize], share: f64) -> Result<PassLoss>;
+
+    /// Writes a finished epoch's loss terms into its row.
+    fn report_terms(&self, terms: &[f64], row: &mut EpochRow);
+
+    /// Validates an inference copy of the model; the larger the result the better.
+    ///
+    /// # Errors
+    /// An item that cannot be loaded, or a device that fails.
+    fn validate(&self, model: &Self::Model, row: &mut EpochRow) -> Result<Option<f64>>;
+
+    /// The validation result of a row in a few words.
+    fn describe(&self, row: &EpochRow) -> String;
+
+    /// Saves an inference copy of the model for users.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    fn save(&self, model: &Self::Model, path: &Path) -> Result<()>;
+}
+
+/// What a finished stage reports.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StageResult {
+    /// Best validation result and its epoch.
+    pub best: Option<(f64, u32)>,
+    /// Seconds of this call.
+    pub seconds: f64,
+}
+
+/// Trains a stage from its start or from where a stopped run left it.
+///
+/// # Errors
+/// Whatever stops it: [`Error::Interrupted`] on the user's wish (the state of the last finished
+/// epoch is saved), a loss that is no longer finite, a file or device that fails.
+pub fn run_stage<R: Recipe>(
+    recipe: &R,
+    steering: &Steering,
+    model: R::Model,
+    mut optimizer: ModuleOptimizer,
+    run: &Path,
+    resume: bool,
+    log: &mut RunLog,
+    progress: &dyn Progress,
+) -> Result<StageResult> {
+    let started = Instant::now();
+    let folder = StageFolder::new(run, R::STAGE);
+    folder.create()?;
+    initialize(&model);
+    let mut model = model;
+    let mut average =
+        steering.average.map(|(decay, ramp)| AveragedWeights::new(&model, decay, ramp));
+    let mut state = StageState { settings: steering.settings.clone(), ..StageState::default() };
+    if resume && let Some(saved) = folder.state(&steering.settings)? {
+        let shadow = average.as_ref().map(|average| average.module(&model));
+        let (loaded, shadow, loaded_optimizer) = folder.load(model, shadow, optimizer)?;
+        model = loaded;
+        optimizer = loaded_optimizer;
+        if let (Some((decay, ramp)), Some(shadow)) = (steering.average, shadow) {
+            let mut loaded = AveragedWeights::new(&shadow, decay, ramp);
+            loaded.updates = saved.ema_updates;
+            average = Some(loaded);
+        }
+        state = saved;
+        progress.note(&format!("{}: resuming after epoch {}", R::STAGE, state.epoch));
+    }
+    log.rewind(R::STAGE, state.epoch);
+
+    let items = recipe.items();
+    let steps_per_epoch = items.div_ceil(steering.batch) as u64;
+    let remaining = u64::from(steering.epochs.saturating_sub(state.epoch)) * steps_per_epoch;
+    progress.begin(R::STAGE, remaining);
+    let mut trainer = Trainer { recipe, steering, steps_per_epoch, log, progress };
+    while state.epoch < steering.epochs {
+        let epoch = state.epoch;
+        let mut row = trainer.epoch(&mut model, &mut optimizer, &mut average, &mut state)?;
+        state.epoch = epoch + 1;
+        let usable = match &average {
+            Some(average) => average.module(&model),
+            None => model.valid(),
+        };
+        if state.epoch.is_multiple_of(steering.validate_every) || state.epoch == steering.epochs {
+            progress.status("validating");
+            let result = recipe.validate(&usable, &mut row)?;
+            let improves = match (result, state.best) {
+                (Some(result), Some((best, _))) => result > best,
+                (Some(_), None) => true,
+                (None, _) => state.epoch == steering.epochs && state.best.is_none(),
+            };
+            if improves {
+                recipe.save(&usable, &folder.best())?;
+                state.best = result.map(|result| (result, state.epoch));
+            }
+            progress.note(&format!(
+                "{} epoch {}/{}: loss {:.3}{}",
+                R::STAGE,
+                state.epoch,
+                steering.epochs,
+                row.loss,
+                recipe.describe(&row)
+            ));
+        }
+        trainer.log.add(row)?;
+        recipe.save(&usable, &folder.last())?;
+        state.ema_updates = average.as_ref().map_or(0, |average| average.updates);
+        let shadow = average.as_ref().map(|average| average.module(&model));
+        folder.save(&state, &model, shadow, &optimizer)?;
+    }
+    progress.end();
+    Ok(StageResult { best: state.best, seconds: started.elapsed().as_secs_f64() })
+}
+
+/// The parts of a stage that do not change from epoch to epoch.
+struct Trainer<'a, R: Recipe> {
+    recipe: &'a R,
+    steering: &'a Steering,
+    steps_per_epoch: u64,
+    log: &'a mut RunLog,
+    progress: &'a dyn Progress,
+}
+
+impl<R: Recipe> Trainer<'_, R> {
+    /// One pass over the data.
+    fn epoch(
+        &mut self,
+        model: &mut R::Model,
+        optimizer: &mut ModuleOptimizer,
+        average: &mut Option<AveragedWeights>,
+        state: &mut StageState,
+    ) -> Result<EpochRow> {
+        let steering = self.steering;
+        let started = Instant::now();
+        let order = shuffled(self.recipe.items(), steering.seed, state.epoch);
+        let mut sums = EpochSums::default();
+        for batch in order.chunks(steering.batch) {
+            if self.progress.interrupted() {
+                self.progress.end();
+                return Err(Error::Interrupted {
+                    resume: format!(
+                        "{} is saved up to epoch {}; run the same command with --resume to go on",
+                        R::STAGE,
+                        state.epoch
+                    ),
+                });
+            }
+            let mut accumulator = GradientsAccumulator::new();
+            let mut loss = 0.0;
+            for items in batch.chunks(steering.micro_batch) {
+                let share = items.len() as f64 / batch.len() as f64;
+                let pass = self.recipe.loss(model, state.epoch, items, share)?;
+                self.check_finite(&pass, items, state)?;
+                loss += share * pass.reported;
+                sums.add_terms(&pass.terms, items.len());
+                let grads = GradientsParams::from_grads(pass.total.backward(), &*model);
+                accumulator.accumulate(model, grads);
+            }
+            let mut grads = accumulator.grads();
+            if let Some(longest) = steering.clip_norm {
+                let (clipped, norm) = clip_gradients(model, grads, longest)?;
+                grads = clipped;
+                sums.gradient_norm += norm;
+            }
+            let rate = self.learning_rate(state.step);
+            *model = optimizer.step(rate, model.clone(), grads);
+            if let Some(average) = average {
+                average.update(model);
+            }
+            state.step += 1;
+            sums.steps += 1;
+            sums.loss += loss * batch.len() as f64;
+            sums.items += batch.len();
+            sums.learning_rate = rate;
+            self.log.add_step(R::STAGE, state.step, loss);
+            self.progress.status(&format!(
+                "epoch {}/{} loss {:.3}",
+                state.epoch + 1,
+                steering.epochs,
+                sums.loss / sums.items as f64
+            ));
+            self.progress.advance(1);
+        }
+        let mut row = EpochRow {
+            stage: R::STAGE.to_owned(),
+            epoch: state.epoch + 1,
+            step: state.step,
+            learning_rate: sums.learning_rate,
+            loss: sums.loss / sums.items.max(1) as f64,
+            gradient_norm: steering.clip_norm.map(|_| sums.gradient_norm / sums.steps.max(1) as f64),
+            images_per_second: sums.items as f64 / started.elapsed().as_secs_f64(),
+            ..EpochRow::default()
+        };
+        let terms: Vec<f64> = sums.terms.iter().map(|sum| sum / sums.items.max(1) as f64).collect();
+        self.recipe.report_terms(&terms, &mut row);
+        Ok(row)
+    }
+
+    /// The learning rate of a step: a straight rise, then the schedule.
+    fn learning_rate(&self, step: u64) -> f64 {
+        let steering = self.steering;
+        let epoch = step as f64 / self.steps_per_epoch.max(1) as f64;
+        let last = steering.final_learning_rate;
+        let factor = schedule_factor(steering.schedule, epoch, f64::from(steering.epochs), last);
+        let rise = (step + 1) as f64 / (steering.warmup_epochs * self.steps_per_epoch as f64).max(1.0);
+        steering.learning_rate * factor * rise.min(1.0)
+    }
+
+    fn check_finite(&self, pass: &PassLoss, items: &[usize], state: &StageState) -> Result<()> {
+        if pass.reported.is_finite() {
+            return Ok(());
+        }
+        self.progress.end();
+        let names: Vec<String> = items.iter().map(|&item| self.recipe.item_name(item)).collect();
+        Err(Error::training(
+            format!(
+                "the {} loss is {} in epoch {}, step {}, on {}",
+                R::STAGE,
+                pass.reported,
+                state.epoch + 1,
+                state.step + 1,
+                names.join(", ")
+            ),
+            "check these files; else lower the learning rate and --resume",
+        ))
+    }
+}
+
+/// Running sums over an epoch.
+#[derive(Debug, Default)]
+struct EpochSums {
+    loss: f64,
+    terms: Vec<f64>,
+    gradient_norm: f64,
+    steps: u64,
+    items: usize,
+    learning_rate: f64,
+}
+
+impl EpochSums {
+    fn add_terms(&mut self, terms: &[f64], items: usize) {
+        self.terms.resize(terms.len(), 0.0);
+        for (sum, term) in self.terms.iter_mut().zip(terms) {
+            *sum += term * items as f64;
+        }
+    }
+}
+
+/// The order of the items in an epoch: it depends on seed and epoch alone.
+fn shuffled(items: usize, seed: u64, epoch: u32) -> Vec<usize> {
+    let seed = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(u64::from(epoch));
+    let order = ShuffledDataset::new(InMemDataset::new((0..items).collect()), seed);
+    (0..order.len()).filter_map(|index| order.get(index).ok()).collect()
+}
