@@ -56,7 +56,10 @@ pub struct DeviceName {
 
 impl DeviceName {
     /// The default: Flex on the processor.
-    pub const FLEX: Self = Self { kind: Kind::Flex, index: 0 };
+    pub const FLEX: Self = Self {
+        kind: Kind::Flex,
+        index: 0,
+    };
 
     /// Opens the device.
     ///
@@ -68,7 +71,9 @@ impl DeviceName {
             return Err(Error::device(
                 self.to_string(),
                 "this program was built without it",
-                format!("build with `cargo build --release --features {word}`, or use --device flex"),
+                format!(
+                    "build with `cargo build --release --features {word}`, or use --device flex"
+                ),
             ));
         }
         if self.index > 0 && matches!(self.kind, Kind::Flex | Kind::NdArray) {
@@ -82,14 +87,21 @@ impl DeviceName {
             #[cfg(feature = "flex")]
             Kind::Flex => Ok(Device::flex()),
             #[cfg(feature = "ndarray")]
-            #[allow(deprecated, reason = "ndarray stays selectable for as long as Burn ships it")]
+            #[allow(
+                deprecated,
+                reason = "ndarray stays selectable for as long as Burn ships it"
+            )]
             Kind::NdArray => Ok(Device::ndarray()),
             #[cfg(feature = "wgpu")]
             Kind::Wgpu => gpu::open_wgpu(self),
             #[cfg(feature = "cuda")]
             Kind::Cuda => gpu::open_cuda(self),
             #[allow(unreachable_patterns, reason = "reached when a feature is off")]
-            _ => Err(Error::device(self.to_string(), "not built in", "see `twinsight devices`")),
+            _ => Err(Error::device(
+                self.to_string(),
+                "not built in",
+                "see `twinsight devices`",
+            )),
         }
     }
 }
@@ -148,9 +160,16 @@ pub fn devices() -> Vec<DeviceReport> {
                     .then(|| format!("nothing found: {}", missing(kind)))
             } else {
                 let word = kind.word();
-                Some(format!("not in this build: cargo build --release --features {word}"))
+                Some(format!(
+                    "not in this build: cargo build --release --features {word}"
+                ))
             };
-            DeviceReport { name: kind.word().to_owned(), about: kind.about(), obstacle, found }
+            DeviceReport {
+                name: kind.word().to_owned(),
+                about: kind.about(),
+                obstacle,
+                found,
+            }
         })
         .collect()
 }
@@ -195,7 +214,11 @@ mod gpu {
             0 => missing(name.kind).to_owned(),
             count => format!("give an index below {count}"),
         };
-        Err(Error::device(name.to_string(), problem, format!("{remedy}, or use --device flex")))
+        Err(Error::device(
+            name.to_string(),
+            problem,
+            format!("{remedy}, or use --device flex"),
+        ))
     }
 
     #[cfg(feature = "wgpu")]
@@ -224,7 +247,10 @@ mod gpu {
     fn enumerate() -> Vec<wgpu::AdapterInfo> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
         let adapters = instance.enumerate_adapters(wgpu::Backends::PRIMARY);
-        let mut found: Vec<_> = pollster::block_on(adapters).iter().map(wgpu::Adapter::get_info).collect();
+        let mut found: Vec<_> = pollster::block_on(adapters)
+            .iter()
+            .map(wgpu::Adapter::get_info)
+            .collect();
         found.sort_by_key(|info| match info.device_type {
             wgpu::DeviceType::DiscreteGpu => 0,
             wgpu::DeviceType::IntegratedGpu => 1,
@@ -257,7 +283,6 @@ mod gpu {
             .map(|count| (0..count).map(|index| format!("card {index}")).collect())
             .unwrap_or_default()
     }
-
 }
 
 #[cfg(test)]
@@ -281,7 +306,12 @@ mod tests {
 
     #[test]
     fn a_second_processor_is_refused() {
-        let message = "flex:1".parse::<DeviceName>().unwrap().open().unwrap_err().to_string();
+        let message = "flex:1"
+            .parse::<DeviceName>()
+            .unwrap()
+            .open()
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("use --device flex"), "{message}");
     }
 }

@@ -91,11 +91,19 @@ impl Error {
     /// An [`Error::Io`], for `map_err`: `fs::read(path).map_err(Error::io("read", path))`.
     pub fn io(action: &'static str, path: impl AsRef<Path>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.as_ref().to_path_buf();
-        move |source| Self::Io { action, path, source }
+        move |source| Self::Io {
+            action,
+            path,
+            source,
+        }
     }
 
     /// An [`Error::Image`].
-    pub fn image(path: impl AsRef<Path>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+    pub fn image(
+        path: impl AsRef<Path>,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
         Self::Image {
             path: path.as_ref().to_path_buf(),
             problem: problem.into(),
@@ -104,7 +112,11 @@ impl Error {
     }
 
     /// An [`Error::Dataset`].
-    pub fn dataset(path: impl AsRef<Path>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+    pub fn dataset(
+        path: impl AsRef<Path>,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
         Self::Dataset {
             path: path.as_ref().to_path_buf(),
             problem: problem.into(),
@@ -113,7 +125,11 @@ impl Error {
     }
 
     /// An [`Error::Weights`].
-    pub fn weights(path: impl AsRef<Path>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+    pub fn weights(
+        path: impl AsRef<Path>,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
         Self::Weights {
             path: path.as_ref().to_path_buf(),
             problem: problem.into(),
@@ -122,7 +138,11 @@ impl Error {
     }
 
     /// An [`Error::Value`].
-    pub fn value(name: impl Into<String>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+    pub fn value(
+        name: impl Into<String>,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
         Self::Value {
             name: name.into(),
             problem: problem.into(),
@@ -131,7 +151,11 @@ impl Error {
     }
 
     /// An [`Error::Device`].
-    pub fn device(device: impl Into<String>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+    pub fn device(
+        device: impl Into<String>,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
         Self::Device {
             device: device.into(),
             problem: problem.into(),

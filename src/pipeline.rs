@@ -29,7 +29,11 @@ pub struct PredictOptions {
 impl Default for PredictOptions {
     fn default() -> Self {
         let nms = NmsConfig::prediction();
-        Self { confidence: nms.confidence, iou: nms.iou, pairing: PairingConfig::default() }
+        Self {
+            confidence: nms.confidence,
+            iou: nms.iou,
+            pairing: PairingConfig::default(),
+        }
     }
 }
 
@@ -98,7 +102,10 @@ impl StereoRanger {
             Err(Error::weights(
                 path,
                 "does not exist",
-                format!("train this run's {stage} first: twinsight train {stage} --run {}", run.display()),
+                format!(
+                    "train this run's {stage} first: twinsight train {stage} --run {}",
+                    run.display()
+                ),
             ))
         });
         Self::new(
@@ -120,7 +127,11 @@ impl StereoRanger {
                 "train both on the same dataset with the same settings",
             ));
         }
-        Ok(Self { detector, estimator, options: PredictOptions::default() })
+        Ok(Self {
+            detector,
+            estimator,
+            options: PredictOptions::default(),
+        })
     }
 
     /// The same with other options.
@@ -164,7 +175,11 @@ impl StereoRanger {
     ) -> Result<(Vec<Vehicle>, StageTimes)> {
         if left.dimensions() != right.dimensions() {
             return Err(Error::value(
-                format!("pair of {:?} and {:?} pixels", left.dimensions(), right.dimensions()),
+                format!(
+                    "pair of {:?} and {:?} pixels",
+                    left.dimensions(),
+                    right.dimensions()
+                ),
                 "the two images differ in size",
                 "give the left and the right image of one capture",
             ));
@@ -176,8 +191,10 @@ impl StereoRanger {
             ..NmsConfig::prediction()
         };
         let mut found = self.detector.detect(&[left, right], &nms)?.into_iter();
-        let (left_boxes, right_boxes) =
-            (found.next().unwrap_or_default(), found.next().unwrap_or_default());
+        let (left_boxes, right_boxes) = (
+            found.next().unwrap_or_default(),
+            found.next().unwrap_or_default(),
+        );
         let detect = started.elapsed();
 
         let started = Instant::now();
@@ -186,11 +203,16 @@ impl StereoRanger {
         let paired = started.elapsed();
 
         let started = Instant::now();
-        let pairs: Vec<(Detection, Detection)> =
-            pairs.into_iter().map(|(l, r, _)| (left_boxes[l], right_boxes[r])).collect();
+        let pairs: Vec<(Detection, Detection)> = pairs
+            .into_iter()
+            .map(|(l, r, _)| (left_boxes[l], right_boxes[r]))
+            .collect();
         let sightings: Vec<Sighting> = pairs
             .iter()
-            .map(|(l, r)| Sighting { images: [left, right], boxes: [l.box_pixel, r.box_pixel] })
+            .map(|(l, r)| Sighting {
+                images: [left, right],
+                boxes: [l.box_pixel, r.box_pixel],
+            })
             .collect();
         let distances_m = self.estimator.estimate(&sightings)?;
         let classes = &self.detector.header().classes;
@@ -206,7 +228,14 @@ impl StereoRanger {
             })
             .collect();
         vehicles.sort_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
-        Ok((vehicles, StageTimes { detect, pair: paired, range: started.elapsed() }))
+        Ok((
+            vehicles,
+            StageTimes {
+                detect,
+                pair: paired,
+                range: started.elapsed(),
+            },
+        ))
     }
 
     /// The trained rig at another resolution of the same field of view.
@@ -219,7 +248,10 @@ impl StereoRanger {
         let scale_y = f64::from(height) / f64::from(rig.left.height);
         let mut settings = RigSettings::from(rig);
         (settings.width, settings.height) = (width, height);
-        for camera in [&mut settings.left, &mut settings.right].into_iter().flatten() {
+        for camera in [&mut settings.left, &mut settings.right]
+            .into_iter()
+            .flatten()
+        {
             camera.focal_x_px *= scale_x;
             camera.center_x_px *= scale_x;
             camera.focal_y_px *= scale_y;

@@ -44,7 +44,8 @@ impl StateDict {
                 let shape = tensor.dims().to_vec();
                 // A parameter is always readable as 32-bit floats.
                 if let Ok(values) = tensor.without_autodiff().try_into_vec_as::<f32>() {
-                    self.tensors.insert((self.name)(&self.path.join(".")), (shape, values));
+                    self.tensors
+                        .insert((self.name)(&self.path.join(".")), (shape, values));
                 }
             }
             fn enter_module(&mut self, name: &str, _: &str) {
@@ -54,9 +55,17 @@ impl StateDict {
                 self.path.pop();
             }
         }
-        let mut collect = Collect { path: Vec::new(), name, tensors: BTreeMap::new() };
-        module.visit(&mut collect);
-        Self { tensors: collect.tensors, ..Self::default() }
+        let mut collect = Collect {
+            path: Vec::new(),
+            name,
+            tensors: BTreeMap::new(),
+        };
+        // A network in training keeps its latest running statistics aside; its copy has them.
+        module.valid().visit(&mut collect);
+        Self {
+            tensors: collect.tensors,
+            ..Self::default()
+        }
     }
 
     /// Adds a typed header.
@@ -65,7 +74,11 @@ impl StateDict {
     /// A header that is not representable as JSON.
     pub fn with_header(mut self, header: &impl Serialize) -> Result<Self> {
         let json = serde_json::to_string(header).map_err(|source| {
-            Error::value("weights header", source.to_string(), "report this as a defect")
+            Error::value(
+                "weights header",
+                source.to_string(),
+                "report this as a defect",
+            )
         })?;
         self.metadata.insert(HEADER.to_owned(), json);
         Ok(self)
@@ -99,11 +112,22 @@ impl StateDict {
             .tensors
             .iter()
             .map(|(name, (shape, values))| {
-                (name, &shape[..], values.iter().flat_map(|value| value.to_le_bytes()).collect())
+                (
+                    name,
+                    &shape[..],
+                    values
+                        .iter()
+                        .flat_map(|value| value.to_le_bytes())
+                        .collect(),
+                )
             })
             .collect();
         let defect = |source: safetensors::SafeTensorError| {
-            Error::weights(path, format!("cannot be encoded: {source}"), "report this as a defect")
+            Error::weights(
+                path,
+                format!("cannot be encoded: {source}"),
+                "report this as a defect",
+            )
         };
         let views = bytes
             .iter()
@@ -140,14 +164,27 @@ impl StateDict {
             let values: Vec<f32> = match view.dtype() {
                 Dtype::F32 => chunks(data, f32::from_le_bytes),
                 Dtype::F64 => chunks(data, |bytes| f64::from_le_bytes(bytes) as f32),
-                Dtype::F16 => chunks(data, |bytes| burn::tensor::f16::from_le_bytes(bytes).to_f32()),
-                Dtype::BF16 => chunks(data, |bytes| burn::tensor::bf16::from_le_bytes(bytes).to_f32()),
+                Dtype::F16 => chunks(data, |bytes| {
+                    burn::tensor::f16::from_le_bytes(bytes).to_f32()
+                }),
+                Dtype::BF16 => chunks(data, |bytes| {
+                    burn::tensor::bf16::from_le_bytes(bytes).to_f32()
+                }),
                 _ => continue,
             };
             tensors.insert(name.to_owned(), (view.shape().to_vec(), values));
         }
-        let metadata = metadata.metadata().clone().unwrap_or_default().into_iter().collect();
-        Ok(Self { path: path.to_path_buf(), tensors, metadata })
+        let metadata = metadata
+            .metadata()
+            .clone()
+            .unwrap_or_default()
+            .into_iter()
+            .collect();
+        Ok(Self {
+            path: path.to_path_buf(),
+            tensors,
+            metadata,
+        })
     }
 
     /// Puts the tensors into a module of the same structure.
@@ -164,7 +201,11 @@ impl StateDict {
             problems: Vec::new(),
         };
         let module = module.map(&mut apply);
-        let Apply { mut used, mut problems, .. } = apply;
+        let Apply {
+            mut used,
+            mut problems,
+            ..
+        } = apply;
         used.sort();
         problems.extend(
             self.tensors
@@ -178,7 +219,11 @@ impl StateDict {
         let shown = 5;
         let more = problems.len().saturating_sub(shown);
         problems.truncate(shown);
-        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        let more = if more > 0 {
+            format!(" and {more} more")
+        } else {
+            String::new()
+        };
         Err(Error::weights(
             &self.path,
             format!("does not fit this network: {}{more}", problems.join("; ")),
@@ -211,7 +256,9 @@ impl ModuleMapper for Apply<'_> {
         self.used.push(name.clone());
         let expected = param.lazy_shape().dims::<D>();
         if shape[..] != expected {
-            self.problems.push(format!("tensor {name} has shape {shape:?} instead of {expected:?}"));
+            self.problems.push(format!(
+                "tensor {name} has shape {shape:?} instead of {expected:?}"
+            ));
             return param;
         }
         param.map(|tensor| {

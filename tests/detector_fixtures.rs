@@ -170,6 +170,22 @@ fn training_normalises_by_the_batch_and_updates_the_running_statistics() {
 }
 
 #[test]
+fn folding_after_a_training_pass_uses_the_latest_statistics() {
+    let fixture = Fixture::load("yolo11n_nc80_train_128x160");
+    let device = devices::flex().autodiff();
+    let trained = || {
+        let detector = network::detector(&fixture, &device);
+        detector.forward(network::detector_input(&fixture, &device));
+        detector
+    };
+    let folded = StateDict::of(&trained().folded(), tensor_name);
+    let expected = StateDict::of(&trained().valid().folded(), tensor_name);
+    for (name, (_, values)) in &expected.tensors {
+        assert_close(&folded.tensors[name].1, values, 1e-6, name);
+    }
+}
+
+#[test]
 fn a_folded_detector_gives_the_same_output() {
     for name in ["yolo11n_nc1_64x96", "yolo11m_nc1_64x96"] {
         let fixture = Fixture::load(name);

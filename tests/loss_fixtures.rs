@@ -273,7 +273,7 @@ fn gradients_through_the_network_in_training_match_for_one_class() {
         // One predicted box begins 0.0004 pixels left of its target, less than what rounding in
         // the forward pass moves it by (0.0005 pixels, typically). The gradient of their overlap
         // jumps where the edges meet, so the target is moved out of the way.
-        targets[0][0].box_letterbox[0] += 0.004;
+        targets[0][1].box_letterbox[0] += 0.004;
         detector
     });
 }

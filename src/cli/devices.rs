@@ -66,7 +66,10 @@ mod tests {
             found: vec!["A".to_owned(), "B".to_owned()],
         };
         let text = table(&[report]);
-        assert_eq!(text, "wgpu     ready: graphics card\n         wgpu:0 A\n         wgpu:1 B\n");
+        assert_eq!(
+            text,
+            "wgpu     ready: graphics card\n         wgpu:0 A\n         wgpu:1 B\n"
+        );
     }
 
     #[test]

@@ -102,7 +102,10 @@ pub fn summary(report: &GenerateReport, out: &Path) -> String {
         report.test
     );
     if report.reused > 0 {
-        line.push_str(&format!(", {} of them kept from a stopped run", report.reused));
+        line.push_str(&format!(
+            ", {} of them kept from a stopped run",
+            report.reused
+        ));
     }
     line
 }

@@ -64,7 +64,10 @@ impl PredictArgs {
             files::check_target(path)?;
         }
         let [left, right] = imaging::load_pair(&self.left, &self.right)?;
-        let options = PredictOptions { confidence: self.confidence, ..PredictOptions::default() };
+        let options = PredictOptions {
+            confidence: self.confidence,
+            ..PredictOptions::default()
+        };
         let ranger = StereoRanger::load(&self.run, &self.device.open()?)?.with_options(options);
         let vehicles = ranger.estimate(&left, &right)?;
         if let Some(path) = &self.annotate {

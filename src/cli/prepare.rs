@@ -5,7 +5,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use twinsight::Result;
-use twinsight::dataset::{BoxKind, CompositeSize, CompositeStatistics, Split, StereoDataset, prepare};
+use twinsight::dataset::{
+    BoxKind, CompositeSize, CompositeStatistics, Split, StereoDataset, prepare,
+};
 
 use super::{stdout, terminal, values};
 
@@ -68,7 +70,11 @@ fn summary(statistics: &CompositeStatistics) -> String {
         let levels = |levels: [f64; 3]| levels.map(|level| format!("{level:.4}")).join(" ");
         let (mean, std) = (levels(colours.mean), levels(colours.std));
         // Writing to a String cannot fail.
-        writeln!(text, "training colours: mean {mean}, standard deviation {std}").ok();
+        writeln!(
+            text,
+            "training colours: mean {mean}, standard deviation {std}"
+        )
+        .ok();
     }
     text
 }

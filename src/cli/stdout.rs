@@ -10,7 +10,11 @@ use twinsight::{Error, Result};
 /// A standard output that cannot be written, such as a file on a full disk.
 pub fn print(text: &str) -> Result<()> {
     let mut stdout = io::stdout().lock();
-    unless_closed(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()))
+    unless_closed(
+        stdout
+            .write_all(text.as_bytes())
+            .and_then(|()| stdout.flush()),
+    )
 }
 
 /// The outcome of printing. A reader that has seen enough, such as `head`, is no error.

@@ -56,7 +56,9 @@ fn listen(terminal: &Arc<Terminal>) {
         heard.note("stopping as soon as everything is saved; press Ctrl-C again to stop at once");
     });
     if let Err(error) = installed {
-        terminal.note(&format!("Ctrl-C will stop at once, without saving: {error}"));
+        terminal.note(&format!(
+            "Ctrl-C will stop at once, without saving: {error}"
+        ));
     }
 }
 
@@ -235,7 +237,10 @@ mod tests {
             phase.line(Duration::from_secs(60)),
             "epoch 2/24: 25 % (10/40), 3 minutes left, loss 3.2"
         );
-        assert_eq!(Phase::new("nothing", 0, None).line(Duration::ZERO), "nothing: 100 % (0/0)");
+        assert_eq!(
+            Phase::new("nothing", 0, None).line(Duration::ZERO),
+            "nothing: 100 % (0/0)"
+        );
     }
 
     #[test]

@@ -177,7 +177,12 @@ impl TrainArgs {
                 };
                 set(&mut flags, section, "batch", i64::from(batch));
                 let micro_batch = i64::try_from(micro_batch).unwrap_or(i64::MAX);
-                set(&mut flags, section, "micro_batch", micro_batch.min(i64::from(batch)));
+                set(
+                    &mut flags,
+                    section,
+                    "micro_batch",
+                    micro_batch.min(i64::from(batch)),
+                );
             }
         }
         resolve(&flags)
@@ -267,9 +272,15 @@ impl TrainArgs {
         add("--config", self.config.as_deref().map(quoted));
         add("--data", Some(quoted(data)));
         add("--run", Some(quoted(run)));
-        add("--device", (self.device != DeviceName::FLEX).then(|| self.device.to_string()));
+        add(
+            "--device",
+            (self.device != DeviceName::FLEX).then(|| self.device.to_string()),
+        );
         add("--seed", self.overrides.seed.map(|seed| seed.to_string()));
-        add("--box-kind", self.overrides.box_kind.map(|kind| kind.to_string()));
+        add(
+            "--box-kind",
+            self.overrides.box_kind.map(|kind| kind.to_string()),
+        );
         command
     }
 }
@@ -304,9 +315,10 @@ impl Overrides {
                 set(&mut table, section, "learning_rate", rate);
             }
         }
-        for (section, epochs) in
-            [("detector", self.detector_epochs), ("distance", self.distance_epochs)]
-        {
+        for (section, epochs) in [
+            ("detector", self.detector_epochs),
+            ("distance", self.distance_epochs),
+        ] {
             if let Some(epochs) = epochs {
                 set(&mut table, section, "epochs", i64::from(epochs));
             }
@@ -327,7 +339,9 @@ impl Overrides {
 
 /// Puts a setting into a section, which is made where it is missing.
 fn set(table: &mut Table, section: &str, key: &str, value: impl Into<Value>) {
-    let section = table.entry(section).or_insert_with(|| Value::Table(Table::new()));
+    let section = table
+        .entry(section)
+        .or_insert_with(|| Value::Table(Table::new()));
     if let Value::Table(section) = section {
         section.insert(key.to_owned(), value.into());
     }
@@ -385,9 +399,15 @@ mod tests {
         assert_eq!(config.box_kind, BoxKind::Tight);
         assert_eq!(config.detector.scale, Scale::S);
         assert_eq!(config.detector.image_size, 256);
-        assert_eq!(config.detector.weights, Some(PathBuf::from("a.safetensors")));
+        assert_eq!(
+            config.detector.weights,
+            Some(PathBuf::from("a.safetensors"))
+        );
         assert_eq!((config.detector.epochs, config.distance.epochs), (2, 5));
-        assert_eq!((config.detector.learning_rate, config.distance.learning_rate), (0.01, 0.01));
+        assert_eq!(
+            (config.detector.learning_rate, config.distance.learning_rate),
+            (0.01, 0.01)
+        );
         assert_eq!(config.distance.composite, CompositeSize::FULL);
     }
 

@@ -19,7 +19,7 @@ const EPSILON: f64 = 1e-9;
 pub struct Target {
     /// Class index.
     pub class: usize,
-    /// x_min, y_min, x_max, y_max.
+    /// `x_min`, `y_min`, `x_max`, `y_max`.
     pub box_letterbox: [f64; 4],
 }
 
@@ -68,14 +68,19 @@ pub fn assign(predictions: Predictions, targets: &[Target], anchors: &Anchors) -
             keepers[anchor].push(index);
         }
     }
-    let overlap = |target: usize, anchor: usize| find(&rows[target], anchor).map_or(0.0, |a| a.overlap);
+    let overlap =
+        |target: usize, anchor: usize| find(&rows[target], anchor).map_or(0.0, |a| a.overlap);
     let mut positives = Vec::new();
     for (anchor, keepers) in keepers.iter().enumerate() {
         let target = match keepers[..] {
             [] => continue,
             [only] => only,
             _ => (0..targets.len()).fold(0, |best, target| {
-                if overlap(target, anchor) > overlap(best, anchor) { target } else { best }
+                if overlap(target, anchor) > overlap(best, anchor) {
+                    target
+                } else {
+                    best
+                }
             }),
         };
         positives.push((anchor, target));
@@ -93,7 +98,11 @@ pub fn assign(predictions: Predictions, targets: &[Target], anchors: &Anchors) -
         .map(|(anchor, target)| {
             let metric = find(&rows[target], anchor).map_or(0.0, |alignment| alignment.metric);
             let [best_metric, best_overlap] = best[target];
-            Positive { anchor, target, weight: metric * best_overlap / (best_metric + EPSILON) }
+            Positive {
+                anchor,
+                target,
+                weight: metric * best_overlap / (best_metric + EPSILON),
+            }
         })
         .collect()
 }
@@ -135,7 +144,11 @@ fn align(predictions: Predictions, target: &Target, anchors: &Anchors) -> Vec<Al
             let overlap = complete_iou(target.box_letterbox, predicted).max(0.0);
             let score = f64::from(predictions.scores[target.class * count + anchor]);
             let metric = score.sqrt() * overlap.powi(OVERLAP_EXPONENT);
-            Some(Alignment { anchor, overlap, metric })
+            Some(Alignment {
+                anchor,
+                overlap,
+                metric,
+            })
         })
         .collect()
 }
@@ -168,8 +181,8 @@ pub fn complete_iou(a: [f64; 4], b: [f64; 4]) -> f64 {
     const EPS: f64 = 1e-7;
     let (aw, ah) = (a[2] - a[0], a[3] - a[1] + EPS);
     let (bw, bh) = (b[2] - b[0], b[3] - b[1] + EPS);
-    let intersection = (a[2].min(b[2]) - a[0].max(b[0])).max(0.0)
-        * (a[3].min(b[3]) - a[1].max(b[1])).max(0.0);
+    let intersection =
+        (a[2].min(b[2]) - a[0].max(b[0])).max(0.0) * (a[3].min(b[3]) - a[1].max(b[1])).max(0.0);
     let iou = intersection / (aw * ah + bw * bh - intersection + EPS);
     let enclosing_w = a[2].max(b[2]) - a[0].min(b[0]);
     let enclosing_h = a[3].max(b[3]) - a[1].min(b[1]);
@@ -198,7 +211,10 @@ mod tests {
         let anchors = Anchors::new(32, 32);
         let sides = vec![1.0; 4 * anchors.len()];
         let scores = vec![0.5; anchors.len()];
-        let predictions = Predictions { sides_grid: &sides, scores: &scores };
+        let predictions = Predictions {
+            sides_grid: &sides,
+            scores: &scores,
+        };
         assert!(assign(predictions, &[], &anchors).is_empty());
     }
 
@@ -207,11 +223,20 @@ mod tests {
         let anchors = Anchors::new(64, 64);
         let sides = vec![1.5; 4 * anchors.len()];
         let scores = vec![0.3; anchors.len()];
-        let predictions = Predictions { sides_grid: &sides, scores: &scores };
-        let target = Target { class: 0, box_letterbox: [8.0, 8.0, 33.0, 31.0] };
+        let predictions = Predictions {
+            sides_grid: &sides,
+            scores: &scores,
+        };
+        let target = Target {
+            class: 0,
+            box_letterbox: [8.0, 8.0, 33.0, 31.0],
+        };
         let positives = assign(predictions, &[target], &anchors);
         let overlap = |p: &Positive| {
-            complete_iou(target.box_letterbox, predictions.box_letterbox(&anchors, p.anchor))
+            complete_iou(
+                target.box_letterbox,
+                predictions.box_letterbox(&anchors, p.anchor),
+            )
         };
         let best = positives.iter().map(overlap).fold(0.0, f64::max);
         let largest = positives.iter().map(|p| p.weight).fold(0.0, f64::max);

@@ -27,7 +27,10 @@ impl Anchors {
                 }
             }
         }
-        Self { points_grid, strides }
+        Self {
+            points_grid,
+            strides,
+        }
     }
 
     /// Number of points.
@@ -47,7 +50,10 @@ impl Anchors {
         let points: Vec<f32> = x.chain(y).collect();
         (
             Tensor::from_data(TensorData::new(points, [1, 2, self.len()]), device),
-            Tensor::from_data(TensorData::new(self.strides.clone(), [1, 1, self.len()]), device),
+            Tensor::from_data(
+                TensorData::new(self.strides.clone(), [1, 1, self.len()]),
+                device,
+            ),
         )
     }
 }
@@ -63,7 +69,9 @@ pub fn expected_sides(boxes: Tensor<3>) -> Tensor<3> {
     let bins: Vec<f32> = (0..REG_MAX as u16).map(f32::from).collect();
     let bins = Tensor::<4>::from_data(TensorData::new(bins, [1, 1, REG_MAX, 1]), &device);
     let probabilities = softmax(boxes.reshape([batch, 4, REG_MAX, anchors]), 2);
-    (probabilities * bins).sum_dim(2).reshape([batch, 4, anchors])
+    (probabilities * bins)
+        .sum_dim(2)
+        .reshape([batch, 4, anchors])
 }
 
 /// Decodes the network's output.

@@ -76,9 +76,14 @@ impl HeadConfig {
     pub fn init(&self, device: &Device) -> Head {
         let first = self.channels[0];
         let box_width = (first / 4).max(BOX_CHANNELS);
-        let class_width = self.class_width.unwrap_or_else(|| first.max(self.classes.min(100)));
+        let class_width = self
+            .class_width
+            .unwrap_or_else(|| first.max(self.classes.min(100)));
         let block = |from, to, kernel, groups| {
-            ConvBlockConfig::new(from, to).with_kernel_size(kernel).with_groups(groups).init(device)
+            ConvBlockConfig::new(from, to)
+                .with_kernel_size(kernel)
+                .with_groups(groups)
+                .init(device)
         };
         let bias = |conv: &mut Conv, value: f64| {
             let [channels, ..] = conv.weight.lazy_shape().dims::<4>();
@@ -89,7 +94,10 @@ impl HeadConfig {
             .iter()
             .map(|&from| {
                 let mut branch = BoxBranch {
-                    blocks: vec![block(from, box_width, 3, 1), block(box_width, box_width, 3, 1)],
+                    blocks: vec![
+                        block(from, box_width, 3, 1),
+                        block(box_width, box_width, 3, 1),
+                    ],
                     out: ConvConfig::new(box_width, BOX_CHANNELS, 1).init(device),
                 };
                 bias(&mut branch.out, BOX_BIAS);
@@ -133,8 +141,15 @@ impl Head {
         let levels = inputs.map(|input| {
             let (boxes, classes) = (&self.cv2[level], &self.cv3[level]);
             level += 1;
-            let x = boxes.blocks.iter().fold(input.clone(), |x, block| block.forward(x));
-            let y = classes.blocks.iter().flatten().fold(input, |x, block| block.forward(x));
+            let x = boxes
+                .blocks
+                .iter()
+                .fold(input.clone(), |x, block| block.forward(x));
+            let y = classes
+                .blocks
+                .iter()
+                .flatten()
+                .fold(input, |x, block| block.forward(x));
             Tensor::cat(vec![boxes.out.forward(x), classes.out.forward(y)], 1)
         });
         RawOutput { levels }
@@ -147,7 +162,10 @@ impl Head {
             cv2: self
                 .cv2
                 .into_iter()
-                .map(|branch| BoxBranch { blocks: fold(branch.blocks), out: branch.out })
+                .map(|branch| BoxBranch {
+                    blocks: fold(branch.blocks),
+                    out: branch.out,
+                })
                 .collect(),
             cv3: self
                 .cv3

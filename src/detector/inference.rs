@@ -67,7 +67,11 @@ impl VehicleDetector {
     /// Wraps a network, its normalisation merged, for inference on its device.
     pub fn new(network: &Yolo11, header: DetectorHeader, device: &Device) -> Self {
         let device = device.clone().without_autodiff();
-        Self { network: network.valid().folded(), header, device }
+        Self {
+            network: network.valid().folded(),
+            header,
+            device,
+        }
     }
 
     /// Loads weights that training wrote.
@@ -94,7 +98,9 @@ impl VehicleDetector {
     /// # Errors
     /// A file that cannot be written.
     pub fn save(network: &Yolo11, header: &DetectorHeader, path: &Path) -> Result<()> {
-        StateDict::of(network, tensor_name).with_header(header)?.save(path)
+        StateDict::of(network, tensor_name)
+            .with_header(header)?
+            .save(path)
     }
 
     /// What the weights were trained for.
@@ -110,17 +116,22 @@ impl VehicleDetector {
         let found = self.detect_letterboxed(images, nms)?;
         Ok(found
             .into_iter()
-            .map(|LetterboxedCandidates { candidates, letterbox }| {
-                candidates
-                    .into_iter()
-                    .map(|candidate| Detection {
-                        box_pixel: letterbox.pixel_from_letterbox(&candidate.box_letterbox),
-                        score: candidate.score,
-                        class: candidate.class,
-                    })
-                    .filter(|detection| detection.box_pixel.is_valid())
-                    .collect()
-            })
+            .map(
+                |LetterboxedCandidates {
+                     candidates,
+                     letterbox,
+                 }| {
+                    candidates
+                        .into_iter()
+                        .map(|candidate| Detection {
+                            box_pixel: letterbox.pixel_from_letterbox(&candidate.box_letterbox),
+                            score: candidate.score,
+                            class: candidate.class,
+                        })
+                        .filter(|detection| detection.box_pixel.is_valid())
+                        .collect()
+                },
+            )
             .collect())
     }
 
@@ -148,11 +159,18 @@ impl VehicleDetector {
             let input = Tensor::<4>::from_data(TensorData::new(planes, shape), &self.device);
             let decoded = decode::decode(&self.network.forward(input));
             let values = decoded.try_into_vec_as::<f32>().map_err(|source| {
-                Error::device(format!("{:?}", self.device), source.to_string(), "try another device")
+                Error::device(
+                    format!("{:?}", self.device),
+                    source.to_string(),
+                    "try another device",
+                )
             })?;
             for values in values.chunks_exact(values.len() / group.len()) {
                 let candidates = non_maximum_suppression(values, self.header.classes.len(), nms)?;
-                found.push(LetterboxedCandidates { candidates, letterbox });
+                found.push(LetterboxedCandidates {
+                    candidates,
+                    letterbox,
+                });
             }
         }
         Ok(found)

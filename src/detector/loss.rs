@@ -22,7 +22,11 @@ pub struct LossGains {
 
 impl Default for LossGains {
     fn default() -> Self {
-        Self { boxes: 7.5, classes: 0.5, distribution: 1.5 }
+        Self {
+            boxes: 7.5,
+            classes: 0.5,
+            distribution: 1.5,
+        }
     }
 }
 
@@ -68,7 +72,8 @@ pub fn detection_loss(
         for positive in positives {
             let target = &targets[positive.target];
             let anchor = positive.anchor;
-            class_targets[(image * classes + target.class) * count + anchor] = positive.weight as f32;
+            class_targets[(image * classes + target.class) * count + anchor] =
+                positive.weight as f32;
             weight_sum += positive.weight;
             rows.push((image * count + anchor) as i64);
             weights.push(positive.weight as f32);
@@ -91,8 +96,10 @@ pub fn detection_loss(
 
     // Cross entropy with logits x and targets t: x (1 - t) - log sigmoid(x).
     let scores = output.scores.clone();
-    let class_targets =
-        Tensor::<3>::from_data(TensorData::new(class_targets, [batch, classes, count]), &device);
+    let class_targets = Tensor::<3>::from_data(
+        TensorData::new(class_targets, [batch, classes, count]),
+        &device,
+    );
     let cross_entropy = scores.clone() * (-class_targets + 1.0) - log_sigmoid(scores);
     let class_item = cross_entropy.sum().mul_scalar(normalizer * gains.classes);
 
@@ -122,10 +129,12 @@ pub fn detection_loss(
             .neg();
         let numbers: Vec<f32> = (0..REG_MAX as u16).map(f32::from).collect();
         let numbers = Tensor::<3>::from_data(TensorData::new(numbers, [1, 1, REG_MAX]), &device);
-        let sides = (log_probabilities.exp() * numbers).sum_dim(2).reshape([number, 4]);
+        let sides = (log_probabilities.exp() * numbers)
+            .sum_dim(2)
+            .reshape([number, 4]);
         let low = points.clone() - sides.clone().narrow(1, 0, 2);
         let high = points + sides.narrow(1, 2, 2);
-        let overlap = complete_iou(low, high, boxes); // [positives]
+        let overlap = complete_iou(&low, &high, &boxes); // [positives]
         let box_item = ((-overlap + 1.0) * weights.clone()).sum();
         let focal_item = (focal * weights).sum();
         (
@@ -137,7 +146,11 @@ pub fn detection_loss(
         .mul_scalar(batch as f64);
     Ok(DetectionLoss {
         total,
-        items: [box_item.detach(), class_item.detach(), distribution_item.detach()],
+        items: [
+            box_item.detach(),
+            class_item.detach(),
+            distribution_item.detach(),
+        ],
         positives,
         weight_sum,
     })
@@ -177,21 +190,26 @@ fn assign_batch(
 /// # Shapes
 /// - `low`, `high`: `[boxes, 2]`, `target`: `[boxes, 4]`
 /// - output: `[boxes]`
-fn complete_iou(low: Tensor<2>, high: Tensor<2>, target: Tensor<2>) -> Tensor<1> {
+fn complete_iou(low: &Tensor<2>, high: &Tensor<2>, target: &Tensor<2>) -> Tensor<1> {
     const EPS: f64 = 1e-7;
     let [number, _] = low.dims();
-    let column = |tensor: &Tensor<2>, index: usize| {
-        tensor.clone().narrow(1, index, 1).reshape([number])
-    };
-    let (x1, y1, x2, y2) = (column(&low, 0), column(&low, 1), column(&high, 0), column(&high, 1));
-    let [tx1, ty1, tx2, ty2] = [0, 1, 2, 3].map(|index| column(&target, index));
+    let column =
+        |tensor: &Tensor<2>, index: usize| tensor.clone().narrow(1, index, 1).reshape([number]);
+    let (x1, y1, x2, y2) = (
+        column(low, 0),
+        column(low, 1),
+        column(high, 0),
+        column(high, 1),
+    );
+    let [tx1, ty1, tx2, ty2] = [0, 1, 2, 3].map(|index| column(target, index));
     let (w, h) = (x2.clone() - x1.clone(), y2.clone() - y1.clone() + EPS);
     let (tw, th) = (tx2.clone() - tx1.clone(), ty2.clone() - ty1.clone() + EPS);
-    let overlap_w = (x2.clone().min_pair(tx2.clone()) - x1.clone().max_pair(tx1.clone())).clamp_min(0.0);
-    let overlap_h = (y2.clone().min_pair(ty2.clone()) - y1.clone().max_pair(ty1.clone())).clamp_min(0.0);
+    let overlap_w =
+        (x2.clone().min_pair(tx2.clone()) - x1.clone().max_pair(tx1.clone())).clamp_min(0.0);
+    let overlap_h =
+        (y2.clone().min_pair(ty2.clone()) - y1.clone().max_pair(ty1.clone())).clamp_min(0.0);
     let intersection = overlap_w * overlap_h;
-    let union =
-        w.clone() * h.clone() + tw.clone() * th.clone() - intersection.clone() + EPS;
+    let union = w.clone() * h.clone() + tw.clone() * th.clone() - intersection.clone() + EPS;
     let iou = intersection / union;
     let enclosing_w = x2.clone().max_pair(tx2.clone()) - x1.clone().min_pair(tx1.clone());
     let enclosing_h = y2.clone().max_pair(ty2.clone()) - y1.clone().min_pair(ty1.clone());
@@ -200,7 +218,9 @@ fn complete_iou(low: Tensor<2>, high: Tensor<2>, target: Tensor<2>) -> Tensor<1>
     let dy = ty1 + ty2 - y1 - y2;
     let center = (dx.square() + dy.square()).mul_scalar(0.25);
     let angle = (tw / th).atan() - (w / h).atan();
-    let v = angle.square().mul_scalar(4.0 / std::f64::consts::PI.powi(2));
+    let v = angle
+        .square()
+        .mul_scalar(4.0 / std::f64::consts::PI.powi(2));
     let alpha = (v.clone() / (v.clone() - iou.clone() + (1.0 + EPS))).detach();
     iou - center / diagonal - alpha * v
 }

@@ -13,6 +13,8 @@ pub mod weights;
 
 pub use config::Scale;
 pub use detection::Detection;
-pub use head::{BOX_CHANNELS, BoxBranch, ClassBranch, FlatOutput, Head, HeadConfig, REG_MAX, RawOutput, STRIDES};
+pub use head::{
+    BOX_CHANNELS, BoxBranch, ClassBranch, FlatOutput, Head, HeadConfig, REG_MAX, RawOutput, STRIDES,
+};
 pub use inference::{DetectorHeader, LetterboxedCandidates, VehicleDetector, letterbox};
 pub use network::{Yolo11, Yolo11Config};

@@ -7,7 +7,9 @@ use burn::tensor::{Device, Tensor};
 
 use super::config::Scale;
 use super::head::{Head, HeadConfig, RawOutput};
-use crate::nn::{C2psa, C2psaConfig, C3k2, C3k2Config, ConvBlock, ConvBlockConfig, Sppf, SppfConfig};
+use crate::nn::{
+    C2psa, C2psaConfig, C3k2, C3k2Config, ConvBlock, ConvBlockConfig, Sppf, SppfConfig,
+};
 
 /// Settings of a [`Yolo11`].
 #[derive(Config, Debug)]
@@ -25,7 +27,10 @@ pub struct Yolo11Config {
 /// The detector. Field `layerN` is layer N of the published table; the layers in between
 /// (up-sampling and concatenation) hold no weights.
 #[derive(Module, Debug)]
-#[allow(missing_docs, reason = "the fields are numbered as in the published table")]
+#[allow(
+    missing_docs,
+    reason = "the fields are numbered as in the published table"
+)]
 pub struct Yolo11 {
     pub layer0: ConvBlock,
     pub layer1: ConvBlock,
@@ -54,11 +59,20 @@ impl Yolo11Config {
         let scale = self.scale;
         let c = |nominal| scale.channels(nominal);
         let down = |from, to| {
-            ConvBlockConfig::new(from, to).with_kernel_size(3).with_stride(2).init(device)
+            ConvBlockConfig::new(from, to)
+                .with_kernel_size(3)
+                .with_stride(2)
+                .init(device)
         };
         let c3k2 = |from, nominal, c3k, expansion| {
-            C3k2Config::new(from, c(nominal), scale.repeats(), c3k || scale.c3k_everywhere(), expansion)
-                .init(device)
+            C3k2Config::new(
+                from,
+                c(nominal),
+                scale.repeats(),
+                c3k || scale.c3k_everywhere(),
+                expansion,
+            )
+            .init(device)
         };
         Yolo11 {
             layer0: down(3, c(64)),

@@ -53,10 +53,13 @@ pub fn load_detector(
     device: &Device,
 ) -> Result<(Yolo11, LoadReport)> {
     let mut state = state.clone();
-    state
+    state.tensors.retain(|name, _| {
+        !name.ends_with("num_batches_tracked") && !name.ends_with("dfl.conv.weight")
+    });
+    let class_shape = state
         .tensors
-        .retain(|name, _| !name.ends_with("num_batches_tracked") && !name.ends_with("dfl.conv.weight"));
-    let class_shape = state.tensors.get("model.23.cv3.0.2.weight").map(|(shape, _)| shape.clone());
+        .get("model.23.cv3.0.2.weight")
+        .map(|(shape, _)| shape.clone());
     let Some([classes_in_file, width, 1, 1]) = class_shape.as_deref() else {
         return Err(Error::weights(
             &state.path,
@@ -74,7 +77,11 @@ pub fn load_detector(
     if classes_reset {
         detector.layer23.reset_classes(classes, device);
     }
-    let report = LoadReport { classes_in_file: *classes_in_file, classes_reset, folded };
+    let report = LoadReport {
+        classes_in_file: *classes_in_file,
+        classes_reset,
+        folded,
+    };
     Ok((detector, report))
 }
 
@@ -86,11 +93,23 @@ mod tests {
     fn module_paths_become_the_published_names() {
         for (path, name) in [
             ("layer0.conv.weight", "model.0.conv.weight"),
-            ("layer2.bottlenecks.0.cv1.bn.gamma", "model.2.m.0.cv1.bn.weight"),
-            ("layer6.c3ks.1.m.0.cv2.bn.running_var", "model.6.m.1.m.0.cv2.bn.running_var"),
+            (
+                "layer2.bottlenecks.0.cv1.bn.gamma",
+                "model.2.m.0.cv1.bn.weight",
+            ),
+            (
+                "layer6.c3ks.1.m.0.cv2.bn.running_var",
+                "model.6.m.1.m.0.cv2.bn.running_var",
+            ),
             ("layer10.m.0.ffn.1.bn.beta", "model.10.m.0.ffn.1.bn.bias"),
-            ("layer23.cv2.1.blocks.0.conv.weight", "model.23.cv2.1.0.conv.weight"),
-            ("layer23.cv3.2.blocks.1.0.conv.weight", "model.23.cv3.2.1.0.conv.weight"),
+            (
+                "layer23.cv2.1.blocks.0.conv.weight",
+                "model.23.cv2.1.0.conv.weight",
+            ),
+            (
+                "layer23.cv3.2.blocks.1.0.conv.weight",
+                "model.23.cv3.2.1.0.conv.weight",
+            ),
             ("layer23.cv3.2.out.bias", "model.23.cv3.2.2.bias"),
         ] {
             assert_eq!(tensor_name(path), name);

@@ -28,13 +28,23 @@ pub fn detection_metrics(
             .par_iter()
             .map(|&index| {
                 source.get(index).map_err(|source| {
-                    Error::training(source.to_string(), "run `twinsight prepare` to list broken frames")
+                    Error::training(
+                        source.to_string(),
+                        "run `twinsight prepare` to list broken frames",
+                    )
                 })
             })
             .collect::<Result<Vec<DetectionItem>>>()?;
         let images: Vec<_> = items.iter().map(|item| &*item.image).collect();
         let found = detector.detect_letterboxed(&images, &NmsConfig::validation())?;
-        for (item, LetterboxedCandidates { candidates, letterbox }) in items.iter().zip(found) {
+        for (
+            item,
+            LetterboxedCandidates {
+                candidates,
+                letterbox,
+            },
+        ) in items.iter().zip(found)
+        {
             let detections: Vec<Detection> = candidates
                 .iter()
                 .map(|candidate| Detection {

@@ -112,7 +112,9 @@ pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Ev
     for frame in &frames {
         if progress.interrupted() {
             progress.end();
-            return Err(Error::Interrupted { resume: "run the command again".to_owned() });
+            return Err(Error::Interrupted {
+                resume: "run the command again".to_owned(),
+            });
         }
         evaluate_frame(&ranger, &dataset, frame, &mut true_boxes, &mut tally)?;
         progress.advance(1);
@@ -149,7 +151,10 @@ fn check_classes(ranger: &StereoRanger, dataset: &StereoDataset) -> Result<()> {
     }
     Err(Error::dataset(
         &dataset.folder,
-        format!("has the classes {:?}, the run was trained on {trained:?}", dataset.classes()),
+        format!(
+            "has the classes {:?}, the run was trained on {trained:?}",
+            dataset.classes()
+        ),
         "evaluate on a dataset with the same classes in the same order",
     ))
 }
@@ -178,7 +183,12 @@ fn evaluate_frame(
             boxes: [label.left.box_pixel, label.right.box_pixel],
         })
         .collect();
-    for (estimated_m, label) in ranger.estimator().estimate(&sightings)?.into_iter().zip(&labels) {
+    for (estimated_m, label) in ranger
+        .estimator()
+        .estimate(&sightings)?
+        .into_iter()
+        .zip(&labels)
+    {
         true_boxes.add(estimated_m, label.distance_m);
     }
     let vehicles = ranger.estimate(&left, &right)?;
@@ -187,7 +197,9 @@ fn evaluate_frame(
     tally.found += matches.len();
     tally.false_vehicles += vehicles.len() - matches.len();
     for (vehicle, label) in matches {
-        tally.errors.add(vehicles[vehicle].distance_m, labels[label].distance_m);
+        tally
+            .errors
+            .add(vehicles[vehicle].distance_m, labels[label].distance_m);
     }
     Ok(())
 }
@@ -215,10 +227,20 @@ pub fn match_vehicles(vehicles: &[Vehicle], labels: &[StereoLabel]) -> Vec<(usiz
 
 impl fmt::Display for Evaluation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let DetectionFigures { images, targets, precision, recall, map50, map50_95 } = self.detection;
+        let DetectionFigures {
+            images,
+            targets,
+            precision,
+            recall,
+            map50,
+            map50_95,
+        } = self.detection;
         writeln!(f, "split {}: {} frames", self.split, self.frames)?;
         writeln!(f)?;
-        writeln!(f, "detector        images  boxes  precision  recall  mAP50  mAP50-95")?;
+        writeln!(
+            f,
+            "detector        images  boxes  precision  recall  mAP50  mAP50-95"
+        )?;
         writeln!(
             f,
             "                {images:>6}  {targets:>5}  {precision:>9.3}  {recall:>6.3}  {map50:>5.3}  {map50_95:>8.3}"
@@ -228,7 +250,13 @@ impl fmt::Display for Evaluation {
         distance_row(f, "true boxes", self.true_boxes.as_ref())?;
         distance_row(f, "pipeline", self.pipeline.distance.as_ref())?;
         writeln!(f)?;
-        let PipelineFigures { vehicles, found, missed, false_vehicles, .. } = self.pipeline;
+        let PipelineFigures {
+            vehicles,
+            found,
+            missed,
+            false_vehicles,
+            ..
+        } = self.pipeline;
         write!(
             f,
             "pipeline found {found} of {vehicles} vehicles, missed {missed}, and saw {false_vehicles} where none is"
@@ -242,8 +270,17 @@ fn distance_row(
     summary: Option<&DistanceSummary>,
 ) -> fmt::Result {
     match summary {
-        Some(DistanceSummary { count, mae_m, rmse_m, mre_percent, .. }) => {
-            writeln!(f, "{name:<14}  {count:>8}  {mae_m:>5.2}  {rmse_m:>6.2}  {mre_percent:>5.1}")
+        Some(DistanceSummary {
+            count,
+            mae_m,
+            rmse_m,
+            mre_percent,
+            ..
+        }) => {
+            writeln!(
+                f,
+                "{name:<14}  {count:>8}  {mae_m:>5.2}  {rmse_m:>6.2}  {mre_percent:>5.1}"
+            )
         }
         None => writeln!(f, "{name:<14}  {:>8}      -       -      -", 0),
     }

@@ -18,13 +18,23 @@ pub struct PixelBox {
 impl PixelBox {
     /// The box with these edges.
     pub const fn new(x_min: f64, y_min: f64, x_max: f64, y_max: f64) -> Self {
-        Self { x_min, y_min, x_max, y_max }
+        Self {
+            x_min,
+            y_min,
+            x_max,
+            y_max,
+        }
     }
 
     /// The box of this size around a centre.
     pub fn from_center(center: [f64; 2], width: f64, height: f64) -> Self {
         let [x, y] = center;
-        Self::new(x - width / 2.0, y - height / 2.0, x + width / 2.0, y + height / 2.0)
+        Self::new(
+            x - width / 2.0,
+            y - height / 2.0,
+            x + width / 2.0,
+            y + height / 2.0,
+        )
     }
 
     /// Width, negative for an inverted box.
@@ -78,12 +88,18 @@ impl PixelBox {
         )
         .area();
         let union = self.area() + other.area() - intersection;
-        if union > 0.0 { intersection / union } else { 0.0 }
+        if union > 0.0 {
+            intersection / union
+        } else {
+            0.0
+        }
     }
 
     /// All four edges are finite and the box has a positive area.
     pub fn is_valid(&self) -> bool {
-        [self.x_min, self.y_min, self.x_max, self.y_max].iter().all(|v| v.is_finite())
+        [self.x_min, self.y_min, self.x_max, self.y_max]
+            .iter()
+            .all(|v| v.is_finite())
             && self.width() > 0.0
             && self.height() > 0.0
     }
@@ -118,6 +134,11 @@ mod tests {
 
     #[test]
     fn a_box_outside_the_image_clips_to_nothing() {
-        assert_eq!(PixelBox::new(-9.0, -9.0, -1.0, -1.0).clipped(100.0, 100.0).area(), 0.0);
+        assert_eq!(
+            PixelBox::new(-9.0, -9.0, -1.0, -1.0)
+                .clipped(100.0, 100.0)
+                .area(),
+            0.0
+        );
     }
 }

@@ -171,7 +171,14 @@ impl TryFrom<RigSettings> for StereoRig {
     type Error = Error;
 
     fn try_from(settings: RigSettings) -> Result<Self> {
-        let RigSettings { width, height, baseline_m, hfov_deg, left, right } = settings;
+        let RigSettings {
+            width,
+            height,
+            baseline_m,
+            hfov_deg,
+            left,
+            right,
+        } = settings;
         if width < 2 || height < 2 || width > 32_768 || height > 32_768 {
             return Err(Error::value(
                 format!("rig size {width}x{height}"),
@@ -207,16 +214,22 @@ impl TryFrom<RigSettings> for StereoRig {
         match (hfov_deg, left, right) {
             (Some(hfov), None, None) if hfov > 0.0 && hfov < 180.0 => {
                 let camera = Camera::from_hfov(width, height, hfov);
-                Ok(Self { left: camera, right: camera, baseline_m })
+                Ok(Self {
+                    left: camera,
+                    right: camera,
+                    baseline_m,
+                })
             }
             (Some(hfov), None, None) => Err(Error::value(
                 format!("rig hfov_deg = {hfov}"),
                 "not a field of view of a pinhole camera",
                 "give degrees between 0 and 180",
             )),
-            (None, Some(left), Some(right)) => {
-                Ok(Self { left: camera(left)?, right: camera(right)?, baseline_m })
-            }
+            (None, Some(left), Some(right)) => Ok(Self {
+                left: camera(left)?,
+                right: camera(right)?,
+                baseline_m,
+            }),
             _ => Err(Error::value(
                 "rig",
                 "needs either hfov_deg or both [rig.left] and [rig.right]",
@@ -261,7 +274,9 @@ mod tests {
     fn a_pixel_and_its_direction_invert_each_other() {
         let camera = paper_rig().left;
         let [x, y, z] = camera.camera_from_pixel([17.25, 903.5]);
-        let pixel = camera.pixel_from_camera([x * 7.0, y * 7.0, z * 7.0]).unwrap();
+        let pixel = camera
+            .pixel_from_camera([x * 7.0, y * 7.0, z * 7.0])
+            .unwrap();
         assert!((pixel[0] - 17.25).abs() < 1e-9 && (pixel[1] - 903.5).abs() < 1e-9);
     }
 
@@ -271,7 +286,10 @@ mod tests {
             (StereoRig::from_hfov(640, 360, 90.0, 0.0), "baseline_m = 0"),
             (StereoRig::from_hfov(640, 360, 180.0, 0.8), "hfov_deg = 180"),
             (StereoRig::from_hfov(0, 360, 90.0, 0.8), "0x360"),
-            (StereoRig::from_hfov(640, 360, f64::NAN, 0.8), "hfov_deg = NaN"),
+            (
+                StereoRig::from_hfov(640, 360, f64::NAN, 0.8),
+                "hfov_deg = NaN",
+            ),
         ] {
             let message = rig.unwrap_err().to_string();
             assert!(message.contains(word), "{message} should contain {word}");

@@ -24,12 +24,17 @@ pub struct SphereTarget {
 pub fn sphere_box(camera: &Camera, target: &SphereTarget) -> Option<PixelBox> {
     // The camera looks along +z, so the dot product with its forward vector is the z component.
     let facing = target.forward_camera[2].abs();
-    let radius_m = target.radius_min_m + (1.0 - facing) * (target.radius_sphere_m - target.radius_min_m);
+    let radius_m =
+        target.radius_min_m + (1.0 - facing) * (target.radius_sphere_m - target.radius_min_m);
     let [x, y, z] = target.center_camera;
     let center = camera.pixel_from_camera([x, y, z])?;
     let side = camera.pixel_from_camera([x + radius_m, y, z])?;
     let radius_px = libm::hypot(side[0] - center[0], side[1] - center[1]);
-    Some(PixelBox::from_center(center, 2.0 * radius_px, 2.0 * radius_px))
+    Some(PixelBox::from_center(
+        center,
+        2.0 * radius_px,
+        2.0 * radius_px,
+    ))
 }
 
 #[cfg(test)]
@@ -59,7 +64,10 @@ mod tests {
     #[test]
     fn a_vehicle_behind_the_camera_has_no_box() {
         let camera = Camera::from_hfov(2048, 1152, 90.0);
-        let behind = SphereTarget { center_camera: [0.0, 0.0, -3.0], ..target([1.0, 0.0, 0.0]) };
+        let behind = SphereTarget {
+            center_camera: [0.0, 0.0, -3.0],
+            ..target([1.0, 0.0, 0.0])
+        };
         assert!(sphere_box(&camera, &behind).is_none());
     }
 }

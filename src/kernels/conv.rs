@@ -100,7 +100,11 @@ impl Product<'_> {
     fn run<S: Simd, const ROWS: usize>(self, simd: S) {
         let width = TILE_VECTORS * S::F32_LANES;
         let area = self.map.image[0] * self.map.image[1];
-        let reach = self.offsets.iter().max().map_or(0, |&offset| offset + width);
+        let reach = self
+            .offsets
+            .iter()
+            .max()
+            .map_or(0, |&offset| offset + width);
         let mut tile = [0.0_f32; 8 * MAX_TILE];
         let tile = &mut tile[..ROWS * width];
         let mut edge = Vec::new();
@@ -133,7 +137,11 @@ impl Product<'_> {
                 let rows = ROWS.min(self.weights.rows - block * ROWS);
                 for (m, values) in tile.chunks_exact_mut(width).take(rows).enumerate() {
                     let channel = block * ROWS + m;
-                    finish(values, self.bias.map_or(0.0, |bias| bias[channel]), self.activation);
+                    finish(
+                        values,
+                        self.bias.map_or(0.0, |bias| bias[channel]),
+                        self.activation,
+                    );
                     for segment in &segments[..count] {
                         let source = &values[segment.source..segment.source + segment.len];
                         // SAFETY: the map yields pixels of the plane, tasks own their positions.
@@ -174,7 +182,10 @@ thread_local! {
 }
 
 /// Runs a product for every image: over images where there are several, else over positions.
-#[allow(clippy::too_many_arguments, reason = "the parts of one product, named at every call")]
+#[allow(
+    clippy::too_many_arguments,
+    reason = "the parts of one product, named at every call"
+)]
 fn products(
     batch: usize,
     input: &[f32],
@@ -304,7 +315,10 @@ pub fn backward_input(shape: &ConvShape, grad: &[f32], weight: &[f32]) -> Vec<f3
     let mut output = vec![0.0; shape.batch * shape.input_len()];
     for phase_y in 0..s.min(kernel_h) {
         for phase_x in 0..s.min(kernel_w) {
-            let taps = [(kernel_h - phase_y).div_ceil(s), (kernel_w - phase_x).div_ceil(s)];
+            let taps = [
+                (kernel_h - phase_y).div_ceil(s),
+                (kernel_w - phase_x).div_ceil(s),
+            ];
             // Padded rows y = phase + s * j: as many as are needed to reach the image's end.
             let extent = [
                 (shape.height_in + shape.padding - phase_y).div_ceil(s),
@@ -389,7 +403,9 @@ impl Dots<'_> {
         let depth = self.offsets.len();
         let mut start = 0;
         while start < self.positions {
-            let len = DOT_POSITIONS.min(self.positions - start).next_multiple_of(S::F32_LANES);
+            let len = DOT_POSITIONS
+                .min(self.positions - start)
+                .next_multiple_of(S::F32_LANES);
             let mut channel = 0;
             while channel < self.channels {
                 let rows = ROWS.min(self.channels - channel);
@@ -433,7 +449,10 @@ pub fn backward_weight(shape: &ConvShape, input: &[f32], grad: &[f32]) -> Vec<f3
     let long = 4 * DOT_POSITIONS;
     let groups = (shape.batch * single.plane_len() / long).clamp(1, DOT_TASKS.min(shape.batch));
     let per_group = shape.batch.div_ceil(groups);
-    let per_split = shape.channels_out.div_ceil(DOT_TASKS / groups).next_multiple_of(4);
+    let per_split = shape
+        .channels_out
+        .div_ceil(DOT_TASKS / groups)
+        .next_multiple_of(4);
     let splits = shape.channels_out.div_ceil(per_split);
     let at_once = long.div_ceil(single.plane_len()).clamp(1, per_group);
     let partial: Vec<Vec<f32>> = (0..groups * splits)
@@ -457,7 +476,10 @@ pub fn backward_weight(shape: &ConvShape, input: &[f32], grad: &[f32]) -> Vec<f3
         .collect();
     let mut total = vec![0.0; shape.channels_out * shape.fan_in()];
     for group in partial.chunks(splits) {
-        total.iter_mut().zip(group.iter().flatten()).for_each(|(a, b)| *a += b);
+        total
+            .iter_mut()
+            .zip(group.iter().flatten())
+            .for_each(|(a, b)| *a += b);
     }
     total
 }

@@ -97,7 +97,9 @@ pub fn backward_input(shape: &ConvShape, grad: &[f32], weight: &[f32]) -> Vec<f3
                     layout.fill(spread_grad, 1, planes);
                 }
                 let weight = &weight[channel * offsets.len()..][..offsets.len()];
-                simd::vectorized(|| taps(planes, &offsets, weight, 0.0, Activation::None, &map, out));
+                simd::vectorized(|| {
+                    taps(planes, &offsets, weight, 0.0, Activation::None, &map, out);
+                });
             },
         );
     output
@@ -124,7 +126,8 @@ pub fn backward_weight(shape: &ConvShape, input: &[f32], grad: &[f32]) -> Vec<f3
                         products.fill(0.0);
                         for (y, row) in grad.chunks_exact(width_out).enumerate() {
                             let values = &planes[offset + y * layout.pitch..][..width_out];
-                            for ((product, value), grad) in products.iter_mut().zip(values).zip(row) {
+                            for ((product, value), grad) in products.iter_mut().zip(values).zip(row)
+                            {
                                 *product += value * grad;
                             }
                         }
@@ -169,9 +172,13 @@ fn taps(
             }
         }
         if activation == Activation::Silu {
-            sums.iter_mut().for_each(|x| *x *= simd::sigmoid(*x));
+            for x in sums.iter_mut() {
+                *x *= simd::sigmoid(*x);
+            }
         } else if activation == Activation::Relu {
-            sums.iter_mut().for_each(|x| *x = x.max(0.0));
+            for x in sums.iter_mut() {
+                *x = x.max(0.0);
+            }
         }
         let count = map.segments(start, len, &mut segments);
         for segment in &segments[..count] {

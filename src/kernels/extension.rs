@@ -1,5 +1,8 @@
 //! The backend extension: what each backend does, and how gradients flow.
-#![allow(deprecated, reason = "ndarray stays selectable for as long as Burn ships it")]
+#![allow(
+    deprecated,
+    reason = "ndarray stays selectable for as long as Burn ships it"
+)]
 
 use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
@@ -96,11 +99,18 @@ pub trait KernelBackend: Backend {
         activation: Activation,
     ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
         let norm = Self::batch_norm_train(input, gamma, beta, f64::from(epsilon));
-        (activate::<Self>(norm.output, activation), norm.mean, norm.variance)
+        (
+            activate::<Self>(norm.output, activation),
+            norm.mean,
+            norm.variance,
+        )
     }
 
     /// Gradients of [`KernelBackend::batch_norm_act`]: input, gamma, beta.
-    #[allow(clippy::too_many_arguments, reason = "a forward pass and the gradient of its output")]
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "a forward pass and the gradient of its output"
+    )]
     fn batch_norm_act_grad(
         input: FloatTensor<Self>,
         gamma: FloatTensor<Self>,
@@ -195,9 +205,14 @@ fn halves<B: Backend>(tensor: FloatTensor<B>) -> (FloatTensor<B>, FloatTensor<B>
     let half = shape[0] / 2;
     let slices = |start: usize| {
         let rest = shape.iter().skip(1).map(|&side| Slice::from(0..side));
-        std::iter::once(Slice::from(start..start + half)).chain(rest).collect::<Vec<_>>()
+        std::iter::once(Slice::from(start..start + half))
+            .chain(rest)
+            .collect::<Vec<_>>()
     };
-    (B::float_slice(tensor.clone(), &slices(0)), B::float_slice(tensor, &slices(half)))
+    (
+        B::float_slice(tensor.clone(), &slices(0)),
+        B::float_slice(tensor, &slices(half)),
+    )
 }
 
 /// The activation from Burn's own operations.
@@ -246,21 +261,25 @@ impl<B: KernelBackend, C: CheckpointStrategy> KernelBackend for Autodiff<B, C> {
         impl<B: KernelBackend> Backward<B, 2> for Conv {
             type State = (FloatTensor<B>, FloatTensor<B>, ConvGeometry);
 
-            fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
+            fn backward(
+                self,
+                ops: Ops<Self::State, 2>,
+                grads: &mut Gradients,
+                _: &mut Checkpointer,
+            ) {
                 let [node_input, node_weight] = ops.parents;
                 let grad = grads.consume::<B>(&ops.node);
                 let (input, weight, geometry) = ops.state;
                 if let Some(node) = node_input {
-                    let input_grad = B::conv2d_input_grad(
-                        input.clone(),
-                        weight.clone(),
-                        grad.clone(),
-                        geometry,
-                    );
+                    let input_grad =
+                        B::conv2d_input_grad(input.clone(), weight.clone(), grad.clone(), geometry);
                     grads.register::<B>(node.id, input_grad);
                 }
                 if let Some(node) = node_weight {
-                    grads.register::<B>(node.id, B::conv2d_weight_grad(input, weight, grad, geometry));
+                    grads.register::<B>(
+                        node.id,
+                        B::conv2d_weight_grad(input, weight, grad, geometry),
+                    );
                 }
             }
         }
@@ -296,7 +315,12 @@ impl<B: KernelBackend, C: CheckpointStrategy> KernelBackend for Autodiff<B, C> {
         impl<B: KernelBackend> Backward<B, 3> for ConvBias {
             type State = (FloatTensor<B>, FloatTensor<B>, ConvGeometry);
 
-            fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
+            fn backward(
+                self,
+                ops: Ops<Self::State, 3>,
+                grads: &mut Gradients,
+                _: &mut Checkpointer,
+            ) {
                 let [node_input, node_weight, node_bias] = ops.parents;
                 let grad = grads.consume::<B>(&ops.node);
                 let (input, weight, geometry) = ops.state;
@@ -304,16 +328,15 @@ impl<B: KernelBackend, C: CheckpointStrategy> KernelBackend for Autodiff<B, C> {
                     grads.register::<B>(node.id, B::channel_sum(grad.clone()));
                 }
                 if let Some(node) = node_input {
-                    let input_grad = B::conv2d_input_grad(
-                        input.clone(),
-                        weight.clone(),
-                        grad.clone(),
-                        geometry,
-                    );
+                    let input_grad =
+                        B::conv2d_input_grad(input.clone(), weight.clone(), grad.clone(), geometry);
                     grads.register::<B>(node.id, input_grad);
                 }
                 if let Some(node) = node_weight {
-                    grads.register::<B>(node.id, B::conv2d_weight_grad(input, weight, grad, geometry));
+                    grads.register::<B>(
+                        node.id,
+                        B::conv2d_weight_grad(input, weight, grad, geometry),
+                    );
                 }
             }
         }
@@ -359,13 +382,22 @@ impl<B: KernelBackend, C: CheckpointStrategy> KernelBackend for Autodiff<B, C> {
             /// Input, gamma, beta, mean, variance.
             type State = ([FloatTensor<B>; 5], f32, Activation);
 
-            fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
+            fn backward(
+                self,
+                ops: Ops<Self::State, 3>,
+                grads: &mut Gradients,
+                _: &mut Checkpointer,
+            ) {
                 let grad = grads.consume::<B>(&ops.node);
                 let ([input, gamma, beta, mean, variance], epsilon, activation) = ops.state;
                 let (input_grad, gamma_grad, beta_grad) = B::batch_norm_act_grad(
                     input, gamma, beta, mean, variance, grad, epsilon, activation,
                 );
-                for (node, grad) in ops.parents.into_iter().zip([input_grad, gamma_grad, beta_grad]) {
+                for (node, grad) in ops
+                    .parents
+                    .into_iter()
+                    .zip([input_grad, gamma_grad, beta_grad])
+                {
                     if let Some(node) = node {
                         grads.register::<B>(node.id, grad);
                     }
@@ -377,9 +409,18 @@ impl<B: KernelBackend, C: CheckpointStrategy> KernelBackend for Autodiff<B, C> {
             .prepare::<C>([input.node(), gamma.node(), beta.node()])
             .compute_bound()
             .stateful();
+        #[allow(
+            clippy::redundant_closure_for_method_calls,
+            reason = "the method's type is not exported"
+        )]
         let [input, gamma, beta] = [input, gamma, beta].map(|tensor| tensor.into_primitive());
-        let (output, mean, variance) =
-            B::batch_norm_act(input.clone(), gamma.clone(), beta.clone(), epsilon, activation);
+        let (output, mean, variance) = B::batch_norm_act(
+            input.clone(),
+            gamma.clone(),
+            beta.clone(),
+            epsilon,
+            activation,
+        );
         let output = match prepared {
             OpsKind::Tracked(prep) => {
                 let state = [input, gamma, beta, mean.clone(), variance.clone()];
@@ -401,7 +442,12 @@ impl<B: KernelBackend, C: CheckpointStrategy> KernelBackend for Autodiff<B, C> {
         impl<B: KernelBackend> Backward<B, 1> for TwinPool {
             type State = (FloatTensor<B>, TwinInput);
 
-            fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+            fn backward(
+                self,
+                ops: Ops<Self::State, 1>,
+                grads: &mut Gradients,
+                _: &mut Checkpointer,
+            ) {
                 let grad = grads.consume::<B>(&ops.node);
                 let (input, kind) = ops.state;
                 if let [Some(node)] = ops.parents {
@@ -410,7 +456,11 @@ impl<B: KernelBackend, C: CheckpointStrategy> KernelBackend for Autodiff<B, C> {
             }
         }
 
-        match TwinPool.prepare::<C>([input.node()]).compute_bound().stateful() {
+        match TwinPool
+            .prepare::<C>([input.node()])
+            .compute_bound()
+            .stateful()
+        {
             OpsKind::Tracked(prep) => {
                 let input = input.into_primitive();
                 prep.finish((input.clone(), kind), B::twin_pool(input, kind))
@@ -424,16 +474,16 @@ impl<B: KernelBackend, C: CheckpointStrategy> KernelBackend for Autodiff<B, C> {
 mod flex {
     //! Kernels of our own on Flex, for 32-bit floats; anything else is composed.
 
-    use burn::backend::tensor::FloatTensor;
     use burn::backend::ops::ModuleOps;
+    use burn::backend::tensor::FloatTensor;
     use burn::backend::{Flex, TensorMetadata};
     use burn::tensor::{DType, TensorData};
 
     use super::super::conv::{self, Activation};
+    use super::super::depthwise;
     use super::super::norm::{self, BatchStatistics, NormShape};
     use super::super::pool::{self, TwinInput, TwinShape};
     use super::super::shape::ConvShape;
-    use super::super::depthwise;
     use super::{ConvGeometry, KernelBackend};
 
     type Tensor = FloatTensor<Flex>;
@@ -463,14 +513,12 @@ mod flex {
 
     /// Runs `work` on the tensor's values in row-major order.
     fn with_values<R>(tensor: &Tensor, work: impl FnOnce(&[f32]) -> R) -> R {
-        match tensor.layout().contiguous_offsets() {
-            Some((start, end)) => work(&tensor.storage::<f32>()[start..end]),
-            None => {
-                let tensor = tensor.to_contiguous();
-                let len = tensor.shape().num_elements();
-                work(&tensor.storage::<f32>()[..len])
-            }
+        if let Some((start, end)) = tensor.layout().contiguous_offsets() {
+            return work(&tensor.storage::<f32>()[start..end]);
         }
+        let tensor = tensor.to_contiguous();
+        let len = tensor.shape().num_elements();
+        work(&tensor.storage::<f32>()[..len])
     }
 
     fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Tensor {
@@ -478,7 +526,12 @@ mod flex {
     }
 
     fn output_shape(shape: &ConvShape) -> [usize; 4] {
-        [shape.batch, shape.channels_out, shape.height_out(), shape.width_out()]
+        [
+            shape.batch,
+            shape.channels_out,
+            shape.height_out(),
+            shape.width_out(),
+        ]
     }
 
     fn forward(
@@ -489,13 +542,17 @@ mod flex {
         bias: Option<&Tensor>,
         activation: Activation,
     ) -> Tensor {
-        let run = if geometry.groups > 1 { depthwise::forward } else { conv::forward };
+        let run = if geometry.groups > 1 {
+            depthwise::forward
+        } else {
+            conv::forward
+        };
         let values = with_values(input, |input| {
             with_values(weight, |weight| match bias {
                 None => run(shape, input, weight, None, activation),
-                Some(bias) => {
-                    with_values(bias, |bias| run(shape, input, weight, Some(bias), activation))
-                }
+                Some(bias) => with_values(bias, |bias| {
+                    run(shape, input, weight, Some(bias), activation)
+                }),
             })
         });
         tensor(values, output_shape(shape))
@@ -505,12 +562,7 @@ mod flex {
         fn conv2d_plain(input: Tensor, weight: Tensor, geometry: ConvGeometry) -> Tensor {
             match covered(&input, &weight, geometry) {
                 Some(shape) => forward(&shape, geometry, &input, &weight, None, Activation::None),
-                None => Self::conv2d(
-                    input,
-                    weight,
-                    None,
-                    geometry.options(),
-                ),
+                None => Self::conv2d(input, weight, None, geometry.options()),
             }
         }
 
@@ -539,9 +591,23 @@ mod flex {
             let Some(shape) = covered(&input, &weight, geometry) else {
                 return Self::conv2d_x_backward(input, weight, grad, geometry.options());
             };
-            let run = if geometry.groups > 1 { depthwise::backward_input } else { conv::backward_input };
-            let values = with_values(&grad, |grad| with_values(&weight, |weight| run(&shape, grad, weight)));
-            tensor(values, [shape.batch, shape.channels_in, shape.height_in, shape.width_in])
+            let run = if geometry.groups > 1 {
+                depthwise::backward_input
+            } else {
+                conv::backward_input
+            };
+            let values = with_values(&grad, |grad| {
+                with_values(&weight, |weight| run(&shape, grad, weight))
+            });
+            tensor(
+                values,
+                [
+                    shape.batch,
+                    shape.channels_in,
+                    shape.height_in,
+                    shape.width_in,
+                ],
+            )
         }
 
         fn conv2d_weight_grad(
@@ -553,14 +619,22 @@ mod flex {
             let Some(shape) = covered(&input, &weight, geometry) else {
                 return Self::conv2d_weight_backward(input, weight, grad, geometry.options());
             };
-            let run = if geometry.groups > 1 { depthwise::backward_weight } else { conv::backward_weight };
-            let values = with_values(&input, |input| with_values(&grad, |grad| run(&shape, input, grad)));
+            let run = if geometry.groups > 1 {
+                depthwise::backward_weight
+            } else {
+                conv::backward_weight
+            };
+            let values = with_values(&input, |input| {
+                with_values(&grad, |grad| run(&shape, input, grad))
+            });
             tensor(values, weight.shape().dims::<4>())
         }
 
         fn channel_sum(grad: Tensor) -> Tensor {
             let [_, channels, height, width] = grad.shape().dims();
-            let sums = with_values(&grad, |grad| norm::channel_sums(channels, height * width, grad));
+            let sums = with_values(&grad, |grad| {
+                norm::channel_sums(channels, height * width, grad)
+            });
             tensor(sums, [channels])
         }
 
@@ -572,7 +646,10 @@ mod flex {
             activation: Activation,
         ) -> (Tensor, Tensor, Tensor) {
             let dims: [usize; 4] = input.shape().dims();
-            let shape = NormShape { channels: dims[1], area: dims[2] * dims[3] };
+            let shape = NormShape {
+                channels: dims[1],
+                area: dims[2] * dims[3],
+            };
             let (output, statistics) = with_values(&input, |input| {
                 let statistics = norm::statistics(shape, input);
                 let output = with_values(&gamma, |gamma| {
@@ -600,7 +677,10 @@ mod flex {
             activation: Activation,
         ) -> (Tensor, Tensor, Tensor) {
             let dims: [usize; 4] = input.shape().dims();
-            let shape = NormShape { channels: dims[1], area: dims[2] * dims[3] };
+            let shape = NormShape {
+                channels: dims[1],
+                area: dims[2] * dims[3],
+            };
             let statistics = BatchStatistics {
                 mean: with_values(&mean, <[f32]>::to_vec),
                 variance: with_values(&variance, <[f32]>::to_vec),
@@ -608,7 +688,16 @@ mod flex {
             let [gamma, beta] = [gamma, beta].map(|values| with_values(&values, <[f32]>::to_vec));
             let grads = with_values(&input, |input| {
                 with_values(&grad, |grad| {
-                    norm::backward(shape, input, &gamma, &beta, &statistics, epsilon, activation, grad)
+                    norm::backward(
+                        shape,
+                        input,
+                        &gamma,
+                        &beta,
+                        &statistics,
+                        epsilon,
+                        activation,
+                        grad,
+                    )
                 })
             });
             (
@@ -620,8 +709,16 @@ mod flex {
 
         fn twin_pool(input: Tensor, kind: TwinInput) -> Tensor {
             let [batch, channels, height, width] = input.shape().dims();
-            let shape = TwinShape { planes: batch * channels, size: [height, width], input: kind };
-            let batch_out = if kind == TwinInput::Shared { 2 * batch } else { batch };
+            let shape = TwinShape {
+                planes: batch * channels,
+                size: [height, width],
+                input: kind,
+            };
+            let batch_out = if kind == TwinInput::Shared {
+                2 * batch
+            } else {
+                batch
+            };
             let [rows, columns] = shape.pooled();
             let values = with_values(&input, |input| pool::forward(&shape, input));
             tensor(values, [batch_out, channels, rows, columns])
@@ -630,7 +727,11 @@ mod flex {
         fn twin_pool_grad(input: Tensor, grad: Tensor, kind: TwinInput) -> Tensor {
             let dims: [usize; 4] = input.shape().dims();
             let [batch, channels, height, width] = dims;
-            let shape = TwinShape { planes: batch * channels, size: [height, width], input: kind };
+            let shape = TwinShape {
+                planes: batch * channels,
+                size: [height, width],
+                input: kind,
+            };
             let values = with_values(&input, |input| {
                 with_values(&grad, |grad| pool::backward(&shape, input, grad))
             });

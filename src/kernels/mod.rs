@@ -7,7 +7,14 @@
 //! forward pass, the input's gradient and every stride.
 //!
 //! `unsafe` code lives in this module only.
-#![allow(unsafe_code, reason = "vector loads and disjoint parallel stores; each block says why it is sound")]
+#![allow(
+    clippy::inline_always,
+    reason = "code compiled for a vector width must be inlined into the function that enables it"
+)]
+#![allow(
+    unsafe_code,
+    reason = "vector loads and disjoint parallel stores; each block says why it is sound"
+)]
 
 pub mod conv;
 pub mod depthwise;
@@ -103,5 +110,8 @@ pub fn batch_norm_act(
 /// - `input`: `[batch, channels, height, width]`, or twice the batch when stacked
 /// - output: `[2 batch, channels, height / 2, width / 2]`, maximum pathway first
 pub fn twin_pool(input: Tensor<4>, kind: TwinInput) -> Tensor<4> {
-    Tensor::from_dispatch(<Dispatch as KernelBackend>::twin_pool(input.into_dispatch(), kind))
+    Tensor::from_dispatch(<Dispatch as KernelBackend>::twin_pool(
+        input.into_dispatch(),
+        kind,
+    ))
 }

@@ -42,7 +42,9 @@ pub fn statistics(shape: NormShape, input: &[f32]) -> BatchStatistics {
         .into_par_iter()
         .map(|channel| {
             let planes = || input.chunks_exact(area).skip(channel).step_by(channels);
-            let total: f64 = planes().map(|plane| f64::from(simd::vectorized(|| sum(plane)))).sum();
+            let total: f64 = planes()
+                .map(|plane| f64::from(simd::vectorized(|| sum(plane))))
+                .sum();
             let mean = (total / count) as f32;
             let squares: f64 = planes()
                 .map(|plane| f64::from(simd::vectorized(|| squared_deviations(plane, mean))))
@@ -89,7 +91,10 @@ pub fn forward(
 }
 
 /// Gradients of [`forward`] through the batch's own statistics.
-#[allow(clippy::too_many_arguments, reason = "a forward pass and the gradient of its output")]
+#[allow(
+    clippy::too_many_arguments,
+    reason = "a forward pass and the gradient of its output"
+)]
 pub fn backward(
     shape: NormShape,
     input: &[f32],
@@ -107,7 +112,11 @@ pub fn backward(
     let mut output = vec![0.0; input.len()];
     let plane_sums: Vec<[f64; 2]> = output
         .par_chunks_exact_mut(area)
-        .zip(input.par_chunks_exact(area).zip(grad.par_chunks_exact(area)))
+        .zip(
+            input
+                .par_chunks_exact(area)
+                .zip(grad.par_chunks_exact(area)),
+        )
         .with_min_len(4)
         .enumerate()
         .map(|(plane, (output, (input, grad)))| {
@@ -143,7 +152,9 @@ pub fn backward(
                 .iter()
                 .skip(channel)
                 .step_by(channels)
-                .fold([0.0, 0.0], |total, sums| [total[0] + sums[0], total[1] + sums[1]])
+                .fold([0.0, 0.0], |total, sums| {
+                    [total[0] + sums[0], total[1] + sums[1]]
+                })
         })
         .collect();
     // Second pass: take out the parts that the statistics carry.
@@ -178,7 +189,9 @@ pub fn channel_sums(channels: usize, area: usize, values: &[f32]) -> Vec<f32> {
         .into_par_iter()
         .map(|channel| {
             let planes = values.chunks_exact(area).skip(channel).step_by(channels);
-            planes.map(|plane| f64::from(simd::vectorized(|| sum(plane)))).sum::<f64>() as f32
+            planes
+                .map(|plane| f64::from(simd::vectorized(|| sum(plane))))
+                .sum::<f64>() as f32
         })
         .collect()
 }
@@ -187,7 +200,11 @@ pub fn channel_sums(channels: usize, area: usize, values: &[f32]) -> Vec<f32> {
 fn squared_deviations(values: &[f32], mean: f32) -> f32 {
     let mut lanes = [0.0_f32; 16];
     let chunks = values.chunks_exact(16);
-    let rest: f32 = chunks.remainder().iter().map(|v| (v - mean) * (v - mean)).sum();
+    let rest: f32 = chunks
+        .remainder()
+        .iter()
+        .map(|v| (v - mean) * (v - mean))
+        .sum();
     for chunk in chunks {
         for (lane, value) in lanes.iter_mut().zip(chunk) {
             *lane += (value - mean) * (value - mean);
@@ -205,6 +222,10 @@ fn dot_deviation(grads: &[f32], values: &[f32], mean: f32) -> f32 {
             *lane += grad * (value - mean);
         }
     }
-    let rest: f32 = grads[whole..].iter().zip(&values[whole..]).map(|(g, v)| g * (v - mean)).sum();
+    let rest: f32 = grads[whole..]
+        .iter()
+        .zip(&values[whole..])
+        .map(|(g, v)| g * (v - mean))
+        .sum();
     lanes.iter().sum::<f32>() + rest
 }

@@ -85,7 +85,11 @@ impl PlaneLayout {
         let stride = shape.stride;
         let extra = (kernel_w - 1) / stride;
         // Zeros shared by neighbouring rows are possible only where a plane is not split.
-        let shared = if stride == 1 { shape.padding.min(extra) } else { 0 };
+        let shared = if stride == 1 {
+            shape.padding.min(extra)
+        } else {
+            0
+        };
         Self {
             stride,
             padding: shape.padding,
@@ -115,7 +119,10 @@ impl PlaneLayout {
     pub fn offset(&self, channel: usize, ky: usize, kx: usize) -> usize {
         let s = self.stride;
         let phase = (ky % s) * s + kx % s;
-        channel * self.channel_len() + phase * self.plane_len() * self.images + (ky / s) * self.pitch + kx / s
+        channel * self.channel_len()
+            + phase * self.plane_len() * self.images
+            + (ky / s) * self.pitch
+            + kx / s
     }
 
     /// Positions from the first output to the last one.
@@ -127,13 +134,19 @@ impl PlaneLayout {
     pub fn fill_channel(&self, input: &[f32], image: usize, planes: &mut [f32]) {
         let [height, width] = self.image;
         let (s, padding) = (self.stride, self.padding);
-        let planes = planes.chunks_exact_mut(self.plane_len()).skip(image).step_by(self.images);
+        let planes = planes
+            .chunks_exact_mut(self.plane_len())
+            .skip(image)
+            .step_by(self.images);
         for (phase, plane) in planes.enumerate() {
             let (phase_y, phase_x) = (phase / s, phase % s);
             // First column of the plane that holds a pixel, and the pixel it holds.
             let first = padding.saturating_sub(phase_x).div_ceil(s).min(self.pitch);
             let first_x = first * s + phase_x - padding;
-            let count = width.saturating_sub(first_x).div_ceil(s).min(self.pitch - first);
+            let count = width
+                .saturating_sub(first_x)
+                .div_ceil(s)
+                .min(self.pitch - first);
             for (row, values) in plane.chunks_exact_mut(self.pitch).enumerate() {
                 let y = (row * s + phase_y).wrapping_sub(padding);
                 if y >= height || count == 0 {
@@ -146,7 +159,10 @@ impl PlaneLayout {
                 if s == 1 {
                     values[first..first + count].copy_from_slice(&source[..count]);
                 } else {
-                    for (value, pixel) in values[first..first + count].iter_mut().zip(source.iter().step_by(s)) {
+                    for (value, pixel) in values[first..first + count]
+                        .iter_mut()
+                        .zip(source.iter().step_by(s))
+                    {
                         *value = *pixel;
                     }
                 }

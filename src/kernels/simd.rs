@@ -60,7 +60,10 @@ pub unsafe fn product_tile<S: Simd, const ROWS: usize>(
         // SAFETY: in bounds by the caller's promise; the read is unaligned.
         let values: [S::f32s; TILE_VECTORS] = unsafe {
             std::array::from_fn(|v| {
-                planes.add(offset + v * S::F32_LANES).cast::<S::f32s>().read_unaligned()
+                planes
+                    .add(offset + v * S::F32_LANES)
+                    .cast::<S::f32s>()
+                    .read_unaligned()
             })
         };
         for m in 0..ROWS {
@@ -96,10 +99,16 @@ pub unsafe fn dot_tile<S: Simd, const ROWS: usize, const COLUMNS: usize>(
         // SAFETY: in bounds by the caller's promise; the reads are unaligned.
         unsafe {
             let grads: [S::f32s; ROWS] = std::array::from_fn(|m| {
-                grads.add(m * grad_stride + position).cast::<S::f32s>().read_unaligned()
+                grads
+                    .add(m * grad_stride + position)
+                    .cast::<S::f32s>()
+                    .read_unaligned()
             });
             for k in 0..COLUMNS {
-                let value = planes.add(offsets[k] + position).cast::<S::f32s>().read_unaligned();
+                let value = planes
+                    .add(offsets[k] + position)
+                    .cast::<S::f32s>()
+                    .read_unaligned();
                 for m in 0..ROWS {
                     sums[m][k] = simd.mul_add_f32s(grads[m], value, sums[m][k]);
                 }
@@ -147,7 +156,10 @@ mod tests {
         for i in -8700..8800_i16 {
             let x = f32::from(i) / 100.0;
             let exact = f64::from(x).exp();
-            assert!((f64::from(exp(x)) - exact).abs() <= 3.6e-7 * exact, "exp({x})");
+            assert!(
+                (f64::from(exp(x)) - exact).abs() <= 3.6e-7 * exact,
+                "exp({x})"
+            );
         }
         assert!(exp(1e30).is_finite() && exp(-1e30) >= 0.0);
     }

@@ -39,10 +39,15 @@ impl AttentionConfig {
         let key_width = head_width / 2;
         let linear = |config: ConvBlockConfig| config.with_activated(false).init(device);
         Attention {
-            qkv: linear(ConvBlockConfig::new(channels, channels + 2 * key_width * heads)),
+            qkv: linear(ConvBlockConfig::new(
+                channels,
+                channels + 2 * key_width * heads,
+            )),
             proj: linear(ConvBlockConfig::new(channels, channels)),
             pe: linear(
-                ConvBlockConfig::new(channels, channels).with_kernel_size(3).with_groups(channels),
+                ConvBlockConfig::new(channels, channels)
+                    .with_kernel_size(3)
+                    .with_groups(channels),
             ),
             heads,
             key_width,
@@ -58,7 +63,10 @@ impl Attention {
         let [batch, channels, height, width] = input.dims();
         let (key, value) = (self.key_width, self.head_width);
         let pixels = height * width;
-        let qkv = self.qkv.forward(input).reshape([batch, self.heads, 2 * key + value, pixels]);
+        let qkv = self
+            .qkv
+            .forward(input)
+            .reshape([batch, self.heads, 2 * key + value, pixels]);
         let queries = qkv.clone().narrow(2, 0, key); // [batch, heads, key, pixels]
         let keys = qkv.clone().narrow(2, key, key); // [batch, heads, key, pixels]
         let values = qkv.narrow(2, 2 * key, value); // [batch, heads, value, pixels]
@@ -69,7 +77,9 @@ impl Attention {
             .clone()
             .matmul(weights.swap_dims(2, 3)) // [batch, heads, value, pixels]
             .reshape([batch, channels, height, width]);
-        let positions = self.pe.forward(values.reshape([batch, channels, height, width]));
+        let positions = self
+            .pe
+            .forward(values.reshape([batch, channels, height, width]));
         self.proj.forward(attended + positions)
     }
 
@@ -107,7 +117,9 @@ impl PsaBlockConfig {
             attn: AttentionConfig::new(channels).init(device),
             ffn: vec![
                 ConvBlockConfig::new(channels, 2 * channels).init(device),
-                ConvBlockConfig::new(2 * channels, channels).with_activated(false).init(device),
+                ConvBlockConfig::new(2 * channels, channels)
+                    .with_activated(false)
+                    .init(device),
             ],
         }
     }
@@ -157,7 +169,9 @@ impl C2psaConfig {
         C2psa {
             cv1: ConvBlockConfig::new(self.channels, 2 * hidden).init(device),
             cv2: ConvBlockConfig::new(2 * hidden, self.channels).init(device),
-            m: (0..self.blocks).map(|_| PsaBlockConfig::new(hidden).init(device)).collect(),
+            m: (0..self.blocks)
+                .map(|_| PsaBlockConfig::new(hidden).init(device))
+                .collect(),
             hidden,
         }
     }

@@ -26,7 +26,9 @@ impl BottleneckConfig {
     /// A bottleneck with fresh weights.
     pub fn init(&self, device: &Device) -> Bottleneck {
         let conv = |channels_in, channels_out| {
-            ConvBlockConfig::new(channels_in, channels_out).with_kernel_size(3).init(device)
+            ConvBlockConfig::new(channels_in, channels_out)
+                .with_kernel_size(3)
+                .init(device)
         };
         Bottleneck {
             cv1: conv(self.channels, self.hidden),
@@ -44,7 +46,10 @@ impl Bottleneck {
 
     /// Batch normalisation merged, for inference.
     pub fn folded(self) -> Self {
-        Self { cv1: self.cv1.folded(), cv2: self.cv2.folded() }
+        Self {
+            cv1: self.cv1.folded(),
+            cv2: self.cv2.folded(),
+        }
     }
 }
 
@@ -75,7 +80,9 @@ impl C3kConfig {
             cv1: ConvBlockConfig::new(self.channels, hidden).init(device),
             cv2: ConvBlockConfig::new(self.channels, hidden).init(device),
             cv3: ConvBlockConfig::new(2 * hidden, self.channels).init(device),
-            m: (0..2).map(|_| BottleneckConfig::new(hidden, hidden).init(device)).collect(),
+            m: (0..2)
+                .map(|_| BottleneckConfig::new(hidden, hidden).init(device))
+                .collect(),
         }
     }
 }
@@ -84,8 +91,12 @@ impl C3k {
     /// # Shapes
     /// - input and output: `[batch, channels, height, width]`
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        let deep = self.m.iter().fold(self.cv1.forward(input.clone()), |x, m| m.forward(x));
-        self.cv3.forward(Tensor::cat(vec![deep, self.cv2.forward(input)], 1))
+        let deep = self
+            .m
+            .iter()
+            .fold(self.cv1.forward(input.clone()), |x, m| m.forward(x));
+        self.cv3
+            .forward(Tensor::cat(vec![deep, self.cv2.forward(input)], 1))
     }
 
     /// Batch normalisation merged, for inference.

@@ -38,14 +38,20 @@ impl C3k2Config {
     /// A block with fresh weights.
     pub fn init(&self, device: &Device) -> C3k2 {
         let hidden = (self.channels_out as f64 * self.expansion) as usize;
-        let (plain, c3k) = if self.c3k { (0, self.blocks) } else { (self.blocks, 0) };
+        let (plain, c3k) = if self.c3k {
+            (0, self.blocks)
+        } else {
+            (self.blocks, 0)
+        };
         C3k2 {
             cv1: ConvBlockConfig::new(self.channels_in, 2 * hidden).init(device),
             cv2: ConvBlockConfig::new((2 + self.blocks) * hidden, self.channels_out).init(device),
             bottlenecks: (0..plain)
                 .map(|_| BottleneckConfig::new(hidden, hidden / 2).init(device))
                 .collect(),
-            c3ks: (0..c3k).map(|_| C3kConfig::new(hidden).init(device)).collect(),
+            c3ks: (0..c3k)
+                .map(|_| C3kConfig::new(hidden).init(device))
+                .collect(),
             hidden,
         }
     }
@@ -75,7 +81,11 @@ impl C3k2 {
         Self {
             cv1: self.cv1.folded(),
             cv2: self.cv2.folded(),
-            bottlenecks: self.bottlenecks.into_iter().map(Bottleneck::folded).collect(),
+            bottlenecks: self
+                .bottlenecks
+                .into_iter()
+                .map(Bottleneck::folded)
+                .collect(),
             c3ks: self.c3ks.into_iter().map(C3k::folded).collect(),
             hidden: self.hidden,
         }

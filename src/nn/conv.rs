@@ -45,11 +45,21 @@ impl ConvConfig {
         let per_group = self.channels_in / self.groups;
         let fan_in = per_group * self.kernel_size * self.kernel_size;
         let bound = 1.0 / (fan_in as f64).sqrt();
-        let initializer = Initializer::Uniform { min: -bound, max: bound };
-        let shape = [self.channels_out, per_group, self.kernel_size, self.kernel_size];
+        let initializer = Initializer::Uniform {
+            min: -bound,
+            max: bound,
+        };
+        let shape = [
+            self.channels_out,
+            per_group,
+            self.kernel_size,
+            self.kernel_size,
+        ];
         Conv {
             weight: initializer.init(shape, device),
-            bias: self.bias.then(|| initializer.init([self.channels_out], device)),
+            bias: self
+                .bias
+                .then(|| initializer.init([self.channels_out], device)),
             geometry: ConvGeometry {
                 stride: self.stride,
                 padding: self.padding,
@@ -71,9 +81,13 @@ impl Conv {
 
     fn forward_act(&self, input: Tensor<4>, activation: Activation) -> Tensor<4> {
         match &self.bias {
-            Some(bias) => {
-                kernels::conv2d_act(input, self.weight.val(), bias.val(), self.geometry, activation)
-            }
+            Some(bias) => kernels::conv2d_act(
+                input,
+                self.weight.val(),
+                bias.val(),
+                self.geometry,
+                activation,
+            ),
             None => kernels::conv2d(input, self.weight.val(), self.geometry),
         }
     }
@@ -122,7 +136,11 @@ impl ConvBlockConfig {
                     .with_momentum(BATCH_NORM_MOMENTUM)
                     .init(device),
             ),
-            activation: if self.activated { Activation::Silu } else { Activation::None },
+            activation: if self.activated {
+                Activation::Silu
+            } else {
+                Activation::None
+            },
         }
     }
 }
@@ -159,12 +177,20 @@ impl ConvBlock {
         );
         // The running variance is the unbiased one, unlike the one that normalises.
         let count = (batch * height * width) as f64;
-        let unbiased = norm.variance.detach().mul_scalar(count / (count - 1.0).max(1.0));
+        let unbiased = norm
+            .variance
+            .detach()
+            .mul_scalar(count / (count - 1.0).max(1.0));
         let mix = |running: Tensor<1>, batch: Tensor<1>| {
-            running.mul_scalar(1.0 - bn.momentum).add(batch.mul_scalar(bn.momentum)).detach()
+            running
+                .mul_scalar(1.0 - bn.momentum)
+                .add(batch.mul_scalar(bn.momentum))
+                .detach()
         };
-        bn.running_mean.update(mix(bn.running_mean.value_sync(), norm.mean.detach()));
-        bn.running_var.update(mix(bn.running_var.value_sync(), unbiased));
+        bn.running_mean
+            .update(mix(bn.running_mean.value_sync(), norm.mean.detach()));
+        bn.running_var
+            .update(mix(bn.running_var.value_sync(), unbiased));
         norm.output
     }
 
@@ -172,8 +198,9 @@ impl ConvBlock {
     pub fn folded(mut self) -> Self {
         if let Some(bn) = self.bn.take() {
             let (weight, bias) = folded(self.conv.weight.val(), &bn);
-            self.conv.weight = Param::from_tensor(weight);
-            self.conv.bias = Some(Param::from_tensor(bias));
+            // Parameters start a graph of their own.
+            self.conv.weight = Param::from_tensor(weight.detach());
+            self.conv.bias = Some(Param::from_tensor(bias.detach()));
         }
         self
     }
@@ -182,8 +209,8 @@ impl ConvBlock {
 /// `W' = W gamma / sqrt(var + eps)` and `b' = beta - mean gamma / sqrt(var + eps)`.
 fn folded(weight: Tensor<4>, bn: &BatchNorm) -> (Tensor<4>, Tensor<1>) {
     let device = weight.device();
-    let mean = bn.running_mean.value().to_device(&device);
-    let variance = bn.running_var.value().to_device(&device);
+    let mean = bn.running_mean.value_sync().to_device(&device);
+    let variance = bn.running_var.value_sync().to_device(&device);
     let scale = bn.gamma.val() / (variance + bn.epsilon).sqrt();
     let bias = bn.beta.val() - mean * scale.clone();
     let [channels] = scale.dims();

@@ -24,7 +24,10 @@ impl DenseConfig {
     /// A layer with weights and bias uniform in `+-1 / sqrt(inputs)`.
     pub fn init(&self, device: &Device) -> Dense {
         let bound = 1.0 / (self.inputs as f64).sqrt();
-        let initializer = Initializer::Uniform { min: -bound, max: bound };
+        let initializer = Initializer::Uniform {
+            min: -bound,
+            max: bound,
+        };
         Dense {
             weight: initializer.init([self.outputs, self.inputs], device),
             bias: initializer.init([self.outputs], device),

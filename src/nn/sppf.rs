@@ -55,6 +55,10 @@ impl Sppf {
 
     /// Batch normalisation merged, for inference.
     pub fn folded(self) -> Self {
-        Self { cv1: self.cv1.folded(), cv2: self.cv2.folded(), pool: self.pool }
+        Self {
+            cv1: self.cv1.folded(),
+            cv2: self.cv2.folded(),
+            pool: self.pool,
+        }
     }
 }

@@ -64,7 +64,11 @@ impl DistanceEstimator {
     /// Wraps a network for inference on its device.
     pub fn new(network: &RangingNetwork, header: RangingHeader, device: &Device) -> Self {
         let device = device.clone().without_autodiff();
-        Self { network: network.valid(), header, device }
+        Self {
+            network: network.valid(),
+            header,
+            device,
+        }
     }
 
     /// Loads weights that training wrote.
@@ -91,7 +95,9 @@ impl DistanceEstimator {
     /// # Errors
     /// A file that cannot be written.
     pub fn save(network: &RangingNetwork, header: &RangingHeader, path: &Path) -> Result<()> {
-        StateDict::of(network, str::to_owned).with_header(header)?.save(path)
+        StateDict::of(network, str::to_owned)
+            .with_header(header)?
+            .save(path)
     }
 
     /// What the weights were trained for.
@@ -106,11 +112,19 @@ impl DistanceEstimator {
     pub fn estimate(&self, sightings: &[Sighting]) -> Result<Vec<f64>> {
         let mut distances_m = Vec::with_capacity(sightings.len());
         for batch in sightings.chunks(BATCH) {
-            let (composites, geometry) =
-                stack(batch, self.header.composite, &self.header.normalization, &self.device);
+            let (composites, geometry) = stack(
+                batch,
+                self.header.composite,
+                &self.header.normalization,
+                &self.device,
+            );
             let estimated = self.network.forward(composites, geometry);
             let values = estimated.try_into_vec_as::<f32>().map_err(|source| {
-                Error::device(format!("{:?}", self.device), source.to_string(), "try another device")
+                Error::device(
+                    format!("{:?}", self.device),
+                    source.to_string(),
+                    "try another device",
+                )
             })?;
             distances_m.extend(values.into_iter().map(f64::from));
         }
@@ -126,10 +140,13 @@ fn stack(
     device: &Device,
 ) -> (Tensor<4>, Tensor<2>) {
     let mut planes = vec![0.0; sightings.len() * size.plane_values()];
-    planes.par_chunks_exact_mut(size.plane_values()).zip(sightings).for_each(|(planes, sighting)| {
-        let [left, right] = &sighting.boxes;
-        composite_into_planes(sighting.images, [left, right], size, normalization, planes);
-    });
+    planes
+        .par_chunks_exact_mut(size.plane_values())
+        .zip(sightings)
+        .for_each(|(planes, sighting)| {
+            let [left, right] = &sighting.boxes;
+            composite_into_planes(sighting.images, [left, right], size, normalization, planes);
+        });
     let geometry: Vec<f32> = sightings
         .iter()
         .flat_map(|sighting| {
@@ -137,7 +154,12 @@ fn stack(
             geometry_vector(&sighting.boxes[0], &sighting.boxes[1], width, height)
         })
         .collect();
-    let shape = [sightings.len(), 3, size.height as usize, size.width as usize];
+    let shape = [
+        sightings.len(),
+        3,
+        size.height as usize,
+        size.width as usize,
+    ];
     (
         Tensor::from_data(TensorData::new(planes, shape), device),
         Tensor::from_data(TensorData::new(geometry, [sightings.len(), 2]), device),

@@ -19,9 +19,19 @@ pub fn compose_convolutions(
 ) -> (Tensor<4>, Tensor<1>) {
     let [channels_out, hidden, kernel, _] = second.0.dims();
     let images = first.0.swap_dims(0, 1); // [channels_in, hidden, k1, k1]
-    let geometry = ConvGeometry { stride: 1, padding: kernel - 1, groups: 1 };
+    let geometry = ConvGeometry {
+        stride: 1,
+        padding: kernel - 1,
+        groups: 1,
+    };
     let weight = kernels::conv2d(images, second.0.clone().flip([2, 3]), geometry).swap_dims(0, 1);
-    let sums = second.0.sum_dim(3).sum_dim(2).reshape([channels_out, hidden]);
-    let carried = sums.matmul(first.1.reshape([hidden, 1])).reshape([channels_out]);
+    let sums = second
+        .0
+        .sum_dim(3)
+        .sum_dim(2)
+        .reshape([channels_out, hidden]);
+    let carried = sums
+        .matmul(first.1.reshape([hidden, 1]))
+        .reshape([channels_out]);
     (weight, second.1 + carried)
 }

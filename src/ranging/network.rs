@@ -12,8 +12,13 @@ use crate::kernels::{self, Activation, ConvGeometry, TwinInput};
 use crate::nn::{Conv, ConvConfig, Dense, DenseConfig};
 
 /// Channels through the convolutions of each block, its input first (paper, section 5.1).
-pub const BLOCK_CHANNELS: [&[usize]; 5] =
-    [&[3, 32, 32, 32], &[32, 25, 25, 25], &[25, 18, 18], &[18, 10, 10], &[10, 5, 5]];
+pub const BLOCK_CHANNELS: [&[usize]; 5] = [
+    &[3, 32, 32, 32],
+    &[32, 25, 25, 25],
+    &[25, 18, 18],
+    &[18, 10, 10],
+    &[10, 5, 5],
+];
 
 /// Numbers in the geometry vector: normalised box width and height.
 const GEOMETRY: usize = 2;
@@ -64,9 +69,9 @@ impl RangingConfig {
     /// Features after flattening both pathways.
     pub fn features(&self) -> usize {
         let side = |side: usize| {
-            BLOCK_CHANNELS
-                .iter()
-                .fold(side, |side, channels| side.saturating_sub(2 * (channels.len() - 1)) / 2)
+            BLOCK_CHANNELS.iter().fold(side, |side, channels| {
+                side.saturating_sub(2 * (channels.len() - 1)) / 2
+            })
         };
         2 * BLOCK_CHANNELS[4][2] * side(self.height) * side(self.width)
     }
@@ -119,7 +124,11 @@ impl RangingNetwork {
     pub fn features(&self, composite: Tensor<4>) -> RangingFeatures {
         let [batch, ..] = composite.dims();
         let (weight, bias) = self.merged_first_block();
-        let geometry = ConvGeometry { stride: 1, padding: 0, groups: 1 };
+        let geometry = ConvGeometry {
+            stride: 1,
+            padding: 0,
+            groups: 1,
+        };
         let x = kernels::conv2d_act(composite, weight, bias, geometry, Activation::None);
         let mut x = kernels::twin_pool(x, TwinInput::Shared); // maximum first, then average
         let mut blocks = vec![x.clone()];
@@ -135,7 +144,12 @@ impl RangingNetwork {
         let flat = Tensor::cat(vec![a, b], 1);
         let fc1 = relu(self.fc1.forward(flat.clone()));
         let fc2 = relu(self.fc2.forward(fc1.clone()));
-        RangingFeatures { blocks, flat, fc1, fc2 }
+        RangingFeatures {
+            blocks,
+            flat,
+            fc1,
+            fc2,
+        }
     }
 
     /// The first block's three 3x3 convolutions as one 7x7 convolution: weight `[32, 3, 7, 7]` and
@@ -150,7 +164,9 @@ impl RangingNetwork {
             (layer.weight.val(), bias)
         });
         // A block has at least one convolution by construction.
-        let first = layers.next().unwrap_or_else(|| unreachable!("block without convolutions"));
+        let first = layers
+            .next()
+            .unwrap_or_else(|| unreachable!("block without convolutions"));
         layers.fold(first, compose_convolutions)
     }
 }
@@ -167,7 +183,9 @@ mod tests {
 
     #[test]
     fn a_composite_that_leaves_nothing_is_refused() {
-        let error = RangingConfig::new(220, 110).init(&Device::flex()).unwrap_err();
+        let error = RangingConfig::new(220, 110)
+            .init(&Device::flex())
+            .unwrap_err();
         assert!(error.to_string().contains("324x162"), "{error}");
     }
 }

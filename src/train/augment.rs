@@ -49,12 +49,16 @@ pub fn augmented_letterbox(
     let letterbox = Letterbox::new(original, input, Frame::Exact, Enlarging::Allowed)?;
     let zoom = 1.0 + augment.zoom * signed(random);
     let (width, height) = (f64::from(input.width), f64::from(input.height));
-    let shift = [augment.shift * signed(random) * width, augment.shift * signed(random) * height];
+    let shift = [
+        augment.shift * signed(random) * width,
+        augment.shift * signed(random) * height,
+    ];
     let flipped = random.random_bool(augment.flip);
     let gains = augment.hsv.map(|strength| strength * signed(random));
 
     // Letterbox coordinates after the change: (x - centre) zoom + centre + shift, then mirrored.
-    let forward = |value: f64, side: f64, shift: f64| (value - side / 2.0) * zoom + side / 2.0 + shift;
+    let forward =
+        |value: f64, side: f64, shift: f64| (value - side / 2.0) * zoom + side / 2.0 + shift;
     let back = |value: f64, side: f64, shift: f64| (value - shift - side / 2.0) / zoom + side / 2.0;
     let scale_x = f64::from(letterbox.resized.width) / f64::from(original.width);
     let scale_y = f64::from(letterbox.resized.height) / f64::from(original.height);
@@ -67,7 +71,8 @@ pub fn augmented_letterbox(
         .collect();
     let area = input.area();
     for y in 0..input.height {
-        let source_y = (back(f64::from(y) + 0.5, height, shift[1]) - f64::from(letterbox.top)) / scale_y;
+        let source_y =
+            (back(f64::from(y) + 0.5, height, shift[1]) - f64::from(letterbox.top)) / scale_y;
         let row = y as usize * input.width as usize;
         for (x, &source_x) in source_x.iter().enumerate() {
             let color = change_color(sample(image, source_x, source_y), gains);
@@ -99,7 +104,10 @@ pub fn augmented_letterbox(
 
 /// A box as a target.
 pub fn target(class: u32, b: &PixelBox) -> Target {
-    Target { class: class as usize, box_letterbox: [b.x_min, b.y_min, b.x_max, b.y_max] }
+    Target {
+        class: class as usize,
+        box_letterbox: [b.x_min, b.y_min, b.x_max, b.y_max],
+    }
 }
 
 /// The colour (0..1) at a point of the image, bilinear; grey outside.
@@ -115,7 +123,12 @@ fn sample(image: &RgbImage, x: f64, y: f64) -> [f32; 3] {
     let below = (row + 1).min(height - 1);
     let raw = image.as_raw();
     let at = |column: usize, row: usize| &raw[3 * (row * width + column)..][..3];
-    let (a, b, c, d) = (at(column, row), at(right, row), at(column, below), at(right, below));
+    let (a, b, c, d) = (
+        at(column, row),
+        at(right, row),
+        at(column, below),
+        at(right, below),
+    );
     std::array::from_fn(|channel| {
         let value = |pixel: &[u8]| f32::from(pixel[channel]);
         let upper = value(a) + fx * (value(b) - value(a));
@@ -164,7 +177,12 @@ mod tests {
     use super::*;
 
     fn still() -> DetectionAugment {
-        DetectionAugment { hsv: [0.0; 3], zoom: 0.0, shift: 0.0, flip: 0.0 }
+        DetectionAugment {
+            hsv: [0.0; 3],
+            zoom: 0.0,
+            shift: 0.0,
+            flip: 0.0,
+        }
     }
 
     fn random() -> Pcg64 {
@@ -172,7 +190,9 @@ mod tests {
     }
 
     fn picture() -> RgbImage {
-        RgbImage::from_fn(64, 36, |x, y| image::Rgb([(x * 4) as u8, (y * 7) as u8, 90]))
+        RgbImage::from_fn(64, 36, |x, y| {
+            image::Rgb([(x * 4) as u8, (y * 7) as u8, 90])
+        })
     }
 
     #[test]
@@ -181,14 +201,22 @@ mod tests {
         let mut planes = vec![0.0; 3 * input.area()];
         let boxes = [(0, PixelBox::new(10.0, 4.0, 30.0, 20.0))];
         let targets =
-            augmented_letterbox(&image, &boxes, input, &still(), &mut random(), &mut planes).unwrap();
+            augmented_letterbox(&image, &boxes, input, &still(), &mut random(), &mut planes)
+                .unwrap();
         let original = Size::new(64, 36);
         let letterbox = Letterbox::new(original, input, Frame::Exact, Enlarging::Allowed).unwrap();
         let mut plain = vec![0.0; 3 * input.area()];
         letterbox.write_planes(&image, &mut plain).unwrap();
-        let largest = planes.iter().zip(&plain).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        let largest = planes
+            .iter()
+            .zip(&plain)
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f32::max);
         assert!(largest <= 1.01 / 255.0, "{largest}");
-        assert_eq!(targets, vec![target(0, &letterbox.letterbox_from_pixel(&boxes[0].1))]);
+        assert_eq!(
+            targets,
+            vec![target(0, &letterbox.letterbox_from_pixel(&boxes[0].1))]
+        );
     }
 
     #[test]
@@ -199,20 +227,30 @@ mod tests {
             let boxes = [(0, PixelBox::new(10.0, 4.0, 30.0, 20.0))];
             let augment = DetectionAugment { flip, ..still() };
             let targets =
-                augmented_letterbox(&image, &boxes, input, &augment, &mut random(), &mut planes).unwrap();
+                augmented_letterbox(&image, &boxes, input, &augment, &mut random(), &mut planes)
+                    .unwrap();
             (planes, targets[0].box_letterbox)
         };
         let (plain, [x_min, y_min, x_max, y_max]) = run(0.0);
         let (mirrored, edges) = run(1.0);
         assert_eq!(edges, [64.0 - x_max, y_min, 64.0 - x_min, y_max]);
         for (a, b) in plain.chunks_exact(64).zip(mirrored.chunks_exact(64)) {
-            assert!(a.iter().zip(b.iter().rev()).all(|(a, b)| (a - b).abs() < 1e-5));
+            assert!(
+                a.iter()
+                    .zip(b.iter().rev())
+                    .all(|(a, b)| (a - b).abs() < 1e-5)
+            );
         }
     }
 
     #[test]
     fn colours_survive_a_change_of_nothing_and_a_full_turn_of_the_hue() {
-        for color in [[0.1, 0.5, 0.9], [0.9, 0.2, 0.2], [0.3, 0.3, 0.3], [0.0, 0.8, 0.1]] {
+        for color in [
+            [0.1, 0.5, 0.9],
+            [0.9, 0.2, 0.2],
+            [0.3, 0.3, 0.3],
+            [0.0, 0.8, 0.1],
+        ] {
             for hue in [0.0, 1.0] {
                 let changed = change_color(color, [hue, 0.0, 0.0]);
                 for (a, b) in changed.iter().zip(color) {

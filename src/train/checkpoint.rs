@@ -34,7 +34,9 @@ pub struct StageFolder {
 impl StageFolder {
     /// The folder of a stage in a run.
     pub fn new(run: &Path, stage: &str) -> Self {
-        Self { folder: run.join(stage) }
+        Self {
+            folder: run.join(stage),
+        }
     }
 
     /// Weights of the best epoch.
@@ -78,8 +80,10 @@ impl StageFolder {
         files::create_folder(&fresh)?;
         let broken = |path: &Path| {
             let path = path.to_path_buf();
-            move |source: RecordError| {
-                Error::Io { action: "write", path, source: std::io::Error::other(source.to_string()) }
+            move |source: RecordError| Error::Io {
+                action: "write",
+                path,
+                source: std::io::Error::other(source.to_string()),
             }
         };
         let path = fresh.join("model.bpk");
@@ -91,9 +95,12 @@ impl StageFolder {
         let path = fresh.join("optimizer.bpk");
         optimizer.save(&path).map_err(broken(&path))?;
         let json = serde_json::to_vec_pretty(state).map_err(|source| {
-            Error::training(format!("cannot encode the state: {source}"), "report this as a defect")
+            Error::training(
+                format!("cannot encode the state: {source}"),
+                "report this as a defect",
+            )
         })?;
-        files::write_atomically(&fresh.join("state.json"), &json)?;
+        files::write_atomically(fresh.join("state.json"), &json)?;
         remove(&old)?;
         if current.exists() {
             std::fs::rename(&current, &old).map_err(Error::io("rename", &current))?;

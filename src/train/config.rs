@@ -149,7 +149,11 @@ impl TrainConfig {
             ));
         };
         let invalid = |what: String, source: toml::de::Error| {
-            Error::value(what, source.to_string().trim().to_owned(), "correct the setting")
+            Error::value(
+                what,
+                source.to_string().trim().to_owned(),
+                "correct the setting",
+            )
         };
         let mut table: toml::Table =
             toml::from_str(text).map_err(|source| invalid(format!("preset {name}"), source))?;
@@ -157,7 +161,8 @@ impl TrainConfig {
         if let Some(path) = file {
             origin = format!("config {}", path.display());
             let text = files::read_text(path)?;
-            let changes = toml::from_str(&text).map_err(|source| invalid(origin.clone(), source))?;
+            let changes =
+                toml::from_str(&text).map_err(|source| invalid(origin.clone(), source))?;
             overlay(&mut table, &changes);
         }
         overlay(&mut table, flags);
@@ -174,18 +179,38 @@ impl TrainConfig {
         let (detector, distance) = (&self.detector, &self.distance);
         let share = 0.0..=1.0;
         let checks = [
-            ("detector.image_size", f64::from(detector.image_size), 32.0..=8192.0),
+            (
+                "detector.image_size",
+                f64::from(detector.image_size),
+                32.0..=8192.0,
+            ),
             ("detector.epochs", f64::from(detector.epochs), 1.0..=1e6),
             ("detector.batch", detector.batch as f64, 1.0..=4096.0),
-            ("detector.micro_batch", detector.micro_batch as f64, 1.0..=detector.batch.max(1) as f64),
+            (
+                "detector.micro_batch",
+                detector.micro_batch as f64,
+                1.0..=detector.batch.max(1) as f64,
+            ),
             ("detector.learning_rate", detector.learning_rate, 1e-9..=1.0),
-            ("detector.final_learning_rate", detector.final_learning_rate, share.clone()),
+            (
+                "detector.final_learning_rate",
+                detector.final_learning_rate,
+                share.clone(),
+            ),
             ("detector.warmup_epochs", detector.warmup_epochs, 0.0..=1e6),
-            ("detector.weight_decay", detector.weight_decay, share.clone()),
+            (
+                "detector.weight_decay",
+                detector.weight_decay,
+                share.clone(),
+            ),
             ("detector.clip_norm", detector.clip_norm, 1e-6..=1e9),
             ("detector.ema_decay", detector.ema_decay, share.clone()),
             ("detector.ema_ramp", detector.ema_ramp, 1.0..=1e9),
-            ("detector.validate_every", f64::from(detector.validate_every), 1.0..=1e6),
+            (
+                "detector.validate_every",
+                f64::from(detector.validate_every),
+                1.0..=1e6,
+            ),
             ("detector.hsv hue", detector.hsv[0], share.clone()),
             ("detector.hsv saturation", detector.hsv[1], share.clone()),
             ("detector.hsv value", detector.hsv[2], share.clone()),
@@ -194,13 +219,25 @@ impl TrainConfig {
             ("detector.flip", detector.flip, share.clone()),
             ("distance.epochs", f64::from(distance.epochs), 1.0..=1e6),
             ("distance.batch", distance.batch as f64, 1.0..=4096.0),
-            ("distance.micro_batch", distance.micro_batch as f64, 1.0..=distance.batch.max(1) as f64),
+            (
+                "distance.micro_batch",
+                distance.micro_batch as f64,
+                1.0..=distance.batch.max(1) as f64,
+            ),
             ("distance.learning_rate", distance.learning_rate, 1e-9..=1.0),
-            ("distance.final_learning_rate", distance.final_learning_rate, share.clone()),
+            (
+                "distance.final_learning_rate",
+                distance.final_learning_rate,
+                share.clone(),
+            ),
             ("distance.box_jitter", distance.box_jitter, 0.0..=0.5),
             ("distance.photometric", distance.photometric, 0.0..=0.9),
             ("distance.flip", distance.flip, share),
-            ("distance.validate_every", f64::from(distance.validate_every), 1.0..=1e6),
+            (
+                "distance.validate_every",
+                f64::from(distance.validate_every),
+                1.0..=1e6,
+            ),
         ];
         for (name, value, range) in checks {
             if !range.contains(&value) {
@@ -252,17 +289,29 @@ mod tests {
         assert_eq!(config.seed, 7);
         assert_eq!(config.detector.epochs, 5);
         assert_eq!(config.detector.scale, Scale::S);
-        assert_eq!(config.distance, TrainConfig::preset("quick").unwrap().distance);
+        assert_eq!(
+            config.distance,
+            TrainConfig::preset("quick").unwrap().distance
+        );
     }
 
     #[test]
     fn an_unknown_setting_and_a_value_out_of_range_are_named() {
         let resolve = |text: &str| {
             let flags = toml::from_str(text).unwrap();
-            TrainConfig::resolve(None, None, &flags).unwrap_err().to_string()
+            TrainConfig::resolve(None, None, &flags)
+                .unwrap_err()
+                .to_string()
         };
         assert!(resolve("[detector]\nepoch = 5\n").contains("epoch"));
-        assert!(resolve("[detector]\nlearning_rate = 0.0\n").contains("detector.learning_rate = 0"));
-        assert!(TrainConfig::preset("fast").unwrap_err().to_string().contains("quick, paper"));
+        assert!(
+            resolve("[detector]\nlearning_rate = 0.0\n").contains("detector.learning_rate = 0")
+        );
+        assert!(
+            TrainConfig::preset("fast")
+                .unwrap_err()
+                .to_string()
+                .contains("quick, paper")
+        );
     }
 }

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use burn::optim::{AdamConfig, ModuleOptimizer, decay::WeightDecayConfig};
 use burn::module::ParamGroup;
+use burn::optim::{AdamConfig, ModuleOptimizer, decay::WeightDecayConfig};
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_dataset::Dataset as _;
 use rand_pcg::Pcg64;
@@ -123,8 +123,11 @@ impl DetectorRecipe {
             .with_epsilon(EPSILON);
         let decay = WeightDecayConfig::new(self.settings.weight_decay as f32);
         let decayed = adam.clone().with_weight_decay(Some(decay)).init();
-        let plain = ParamGroup::from_regex(r"(gamma|beta|bias)$").map_err(|_| {
-            Error::training("the parameter groups do not compile", "report this as a defect")
+        let plain = ParamGroup::from_regex(r"(gamma|beta|bias)$").map_err(|source| {
+            Error::training(
+                format!("the parameter groups do not compile: {source:?}"),
+                "report this as a defect",
+            )
         })?;
         Ok(decayed.with_group(plain, adam.build(), None))
     }
@@ -150,7 +153,10 @@ impl DetectorRecipe {
 
     fn item(&self, item: usize) -> Result<DetectionItem> {
         self.train.get(item).map_err(|source| {
-            Error::training(source.to_string(), "run `twinsight prepare` to list broken frames")
+            Error::training(
+                source.to_string(),
+                "run `twinsight prepare` to list broken frames",
+            )
         })
     }
 }
@@ -164,7 +170,10 @@ impl Recipe for DetectorRecipe {
     }
 
     fn item_name(&self, item: usize) -> String {
-        self.train.get(item).map_or_else(|_| format!("item {item}"), |item| item.path.display().to_string())
+        self.train.get(item).map_or_else(
+            |_| format!("item {item}"),
+            |item| item.path.display().to_string(),
+        )
     }
 
     fn loss(&self, model: &Yolo11, epoch: u32, items: &[usize], _: f64) -> Result<PassLoss> {
@@ -183,16 +192,32 @@ impl Recipe for DetectorRecipe {
                 let item = self.item(index)?;
                 let stream = (u128::from(epoch) << 64) | index as u128;
                 let mut random = Pcg64::new(u128::from(self.seed), stream);
-                augmented_letterbox(&item.image, &item.boxes, self.input, &augment, &mut random, planes)
+                augmented_letterbox(
+                    &item.image,
+                    &item.boxes,
+                    self.input,
+                    &augment,
+                    &mut random,
+                    planes,
+                )
             })
             .collect::<Result<Vec<_>>>()?;
-        let shape = [items.len(), 3, self.input.height as usize, self.input.width as usize];
+        let shape = [
+            items.len(),
+            3,
+            self.input.height as usize,
+            self.input.width as usize,
+        ];
         let input = Tensor::<4>::from_data(TensorData::new(planes, shape), &self.device);
         let output = model.forward(input).flatten();
         let loss = detection_loss(&output, &targets, &self.anchors, LossGains::default())?;
         let terms = loss.items.iter().map(scalar).collect::<Result<Vec<_>>>()?;
         // The batch size times the terms: summed over passes, as in one large batch.
-        Ok(PassLoss { total: loss.total, reported: terms.iter().sum(), terms })
+        Ok(PassLoss {
+            total: loss.total,
+            reported: terms.iter().sum(),
+            terms,
+        })
     }
 
     fn report_terms(&self, terms: &[f64], row: &mut EpochRow) {

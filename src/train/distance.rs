@@ -27,7 +27,9 @@ use crate::geometry::{PixelBox, StereoRig};
 use crate::imaging::ChannelStatistics;
 use crate::metrics::DistanceErrors;
 use crate::progress::Progress;
-use crate::ranging::{DistanceEstimator, RangingConfig, RangingHeader, RangingNetwork, ranging_loss};
+use crate::ranging::{
+    DistanceEstimator, RangingConfig, RangingHeader, RangingNetwork, ranging_loss,
+};
 
 /// Decay rates of Adam's moments: the usual ones.
 const BETAS: [f32; 2] = [0.9, 0.999];
@@ -81,7 +83,10 @@ impl DistanceRecipe {
                     frame
                         .vehicles(config.box_kind)
                         .into_iter()
-                        .map(move |label| Vehicle { frame: Arc::clone(&shared), label })
+                        .map(move |label| Vehicle {
+                            frame: Arc::clone(&shared),
+                            label,
+                        })
                 })
                 .collect()
         };
@@ -134,20 +139,28 @@ impl DistanceRecipe {
             let features = inference.features(batch.composites).fc2;
             let all = Tensor::cat(vec![features, batch.geometry], 1);
             let [_, width] = all.dims();
-            let values = all.try_into_vec_as::<f64>().map_err(|source| {
-                Error::training(source.to_string(), "try another device")
-            })?;
+            let values = all
+                .try_into_vec_as::<f64>()
+                .map_err(|source| Error::training(source.to_string(), "try another device"))?;
             rows.extend(values.chunks_exact(width).map(<[f64]>::to_vec));
             progress.advance(vehicles.len() as u64);
         }
         progress.end();
-        let distances: Vec<f64> = self.train.iter().map(|vehicle| vehicle.label.distance_m).collect();
-        fit_readout(network, &rows, &distances)
+        let distances: Vec<f64> = self
+            .train
+            .iter()
+            .map(|vehicle| vehicle.label.distance_m)
+            .collect();
+        Ok(fit_readout(network, &rows, &distances))
     }
 
     /// Adam.
-    pub fn optimizer(&self) -> ModuleOptimizer {
-        AdamConfig::new().with_beta_1(BETAS[0]).with_beta_2(BETAS[1]).with_epsilon(EPSILON).init()
+    pub fn optimizer() -> ModuleOptimizer {
+        AdamConfig::new()
+            .with_beta_1(BETAS[0])
+            .with_beta_2(BETAS[1])
+            .with_epsilon(EPSILON)
+            .init()
     }
 
     /// The numbers that steer the stage.
@@ -170,7 +183,12 @@ impl DistanceRecipe {
     }
 
     /// Loads composites; with an epoch they are changed at random.
-    fn load(&self, vehicles: &[Vehicle], epoch: Option<(u32, &[usize])>, device: &Device) -> Result<Batch> {
+    fn load(
+        &self,
+        vehicles: &[Vehicle],
+        epoch: Option<(u32, &[usize])>,
+        device: &Device,
+    ) -> Result<Batch> {
         let size = self.settings.composite;
         let mut planes = vec![0.0; vehicles.len() * size.plane_values()];
         let geometry = planes
@@ -189,7 +207,13 @@ impl DistanceRecipe {
                 }
                 let [left, right] = &boxes;
                 let normalization = &self.header.normalization;
-                composite_into_planes([&images[0], &images[1]], [left, right], size, normalization, planes);
+                composite_into_planes(
+                    [&images[0], &images[1]],
+                    [left, right],
+                    size,
+                    normalization,
+                    planes,
+                );
                 if let Some(random) = &mut random {
                     self.change(planes, random);
                 }
@@ -197,8 +221,10 @@ impl DistanceRecipe {
                 Ok(geometry_vector(left, right, width, height))
             })
             .collect::<Result<Vec<[f32; 2]>>>()?;
-        let distances: Vec<f32> =
-            vehicles.iter().map(|vehicle| vehicle.label.distance_m as f32).collect();
+        let distances: Vec<f32> = vehicles
+            .iter()
+            .map(|vehicle| vehicle.label.distance_m as f32)
+            .collect();
         let count = vehicles.len();
         let shape = [count, 3, size.height as usize, size.width as usize];
         Ok(Batch {
@@ -235,7 +261,9 @@ impl DistanceRecipe {
         for (channel, plane) in planes.chunks_exact_mut(area).enumerate() {
             // In pixel values: contrast * value + brightness; here the values are normalised.
             let shift = (mean[channel] * (contrast - 1.0) + brightness) / std[channel].max(1e-6);
-            plane.iter_mut().for_each(|value| *value = *value * contrast as f32 + shift as f32);
+            for value in plane {
+                *value = *value * contrast as f32 + shift as f32;
+            }
         }
         if random.random_bool(self.settings.flip) {
             mirror_composite(planes, size.height as usize, size.width as usize);
@@ -262,13 +290,23 @@ impl Recipe for DistanceRecipe {
         self.train[item].frame.left.path.display().to_string()
     }
 
-    fn loss(&self, model: &RangingNetwork, epoch: u32, items: &[usize], share: f64) -> Result<PassLoss> {
+    fn loss(
+        &self,
+        model: &RangingNetwork,
+        epoch: u32,
+        items: &[usize],
+        share: f64,
+    ) -> Result<PassLoss> {
         let vehicles: Vec<Vehicle> = items.iter().map(|&item| self.train[item].clone()).collect();
         let batch = self.load(&vehicles, Some((epoch, items)), &self.device)?;
         let predicted = model.forward(batch.composites, batch.geometry);
         let loss = ranging_loss(predicted, batch.distances_m).total;
         let reported = scalar(&loss)?;
-        Ok(PassLoss { total: loss.mul_scalar(share), reported, terms: Vec::new() })
+        Ok(PassLoss {
+            total: loss.mul_scalar(share),
+            reported,
+            terms: Vec::new(),
+        })
     }
 
     fn report_terms(&self, _: &[f64], _: &mut EpochRow) {}
@@ -323,7 +361,10 @@ struct Kept {
 
 impl FrameCache {
     fn new(budget: usize) -> Self {
-        Self { budget, kept: Mutex::default() }
+        Self {
+            budget,
+            kept: Mutex::default(),
+        }
     }
 
     fn load(&self, frame: &Frame, rig: &StereoRig) -> Result<Arc<[RgbImage; 2]>> {
@@ -332,7 +373,10 @@ impl FrameCache {
             return Ok(Arc::clone(images));
         }
         let images = Arc::new(frame.load(rig)?);
-        let bytes = images.iter().map(|image| image.as_raw().len()).sum::<usize>();
+        let bytes = images
+            .iter()
+            .map(|image| image.as_raw().len())
+            .sum::<usize>();
         let mut kept = lock();
         if kept.bytes + bytes <= self.budget && !kept.frames.contains_key(&frame.row.stamp) {
             kept.bytes += bytes;

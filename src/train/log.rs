@@ -66,7 +66,10 @@ impl EpochRow {
             ("validation/rmse_m", self.rmse_m),
             ("validation/mre_percent", self.mre_percent),
         ];
-        always.into_iter().filter_map(|(tag, value)| Some((tag, value?))).collect()
+        always
+            .into_iter()
+            .filter_map(|(tag, value)| Some((tag, value?)))
+            .collect()
     }
 }
 
@@ -103,12 +106,17 @@ impl RunLog {
         let probe = folder.join("probe");
         files::write_atomically(&probe, b"")?;
         std::fs::remove_file(&probe).map_err(Error::io("remove", &probe))?;
-        Ok(Self { csv, rows, events: SummaryWriter::new(&folder) })
+        Ok(Self {
+            csv,
+            rows,
+            events: SummaryWriter::new(&folder),
+        })
     }
 
     /// Forgets the rows of a stage after an epoch: those of a run that is resumed from there.
     pub fn rewind(&mut self, stage: &str, epoch: u32) {
-        self.rows.retain(|row| row.stage != stage || row.epoch <= epoch);
+        self.rows
+            .retain(|row| row.stage != stage || row.epoch <= epoch);
     }
 
     /// Adds an epoch to both logs.
@@ -118,7 +126,8 @@ impl RunLog {
     pub fn add(&mut self, row: EpochRow) -> Result<()> {
         let step = usize::try_from(row.step).unwrap_or(usize::MAX);
         for (tag, value) in row.scalars() {
-            self.events.add_scalar(&format!("{}/{tag}", row.stage), value as f32, step);
+            self.events
+                .add_scalar(&format!("{}/{tag}", row.stage), value as f32, step);
         }
         self.events.flush();
         self.rows.push(row);
@@ -129,14 +138,17 @@ impl RunLog {
         for row in &self.rows {
             writer.serialize(row).map_err(broken)?;
         }
-        let bytes = writer.into_inner().map_err(|source| broken(source.into_error().into()))?;
+        let bytes = writer
+            .into_inner()
+            .map_err(|source| broken(source.into_error().into()))?;
         files::write_atomically(&self.csv, &bytes)
     }
 
     /// The loss of single steps, for TensorBoard only.
     pub fn add_step(&mut self, stage: &str, step: u64, loss: f64) {
         let step = usize::try_from(step).unwrap_or(usize::MAX);
-        self.events.add_scalar(&format!("{stage}/step/loss"), loss as f32, step);
+        self.events
+            .add_scalar(&format!("{stage}/step/loss"), loss as f32, step);
     }
 }
 
@@ -145,7 +157,12 @@ mod tests {
     use super::*;
 
     fn row(stage: &str, epoch: u32) -> EpochRow {
-        EpochRow { stage: stage.into(), epoch, loss: 1.5, ..EpochRow::default() }
+        EpochRow {
+            stage: stage.into(),
+            epoch,
+            loss: 1.5,
+            ..EpochRow::default()
+        }
     }
 
     #[test]
@@ -158,7 +175,11 @@ mod tests {
         let mut log = RunLog::open(folder.path()).unwrap();
         assert_eq!(log.rows.len(), 3);
         log.rewind("detector", 1);
-        let left: Vec<_> = log.rows.iter().map(|row| (row.stage.as_str(), row.epoch)).collect();
+        let left: Vec<_> = log
+            .rows
+            .iter()
+            .map(|row| (row.stage.as_str(), row.epoch))
+            .collect();
         assert_eq!(left, [("detector", 1), ("distance", 1)]);
     }
 }

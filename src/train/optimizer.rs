@@ -36,7 +36,12 @@ pub struct AveragedWeights {
 impl AveragedWeights {
     /// Starts at the module's present weights.
     pub fn new<M: Module>(module: &M, longest: f64, ramp: f64) -> Self {
-        Self { values: flat_values(module), updates: 0, longest, ramp }
+        Self {
+            values: flat_values(module),
+            updates: 0,
+            longest,
+            ramp,
+        }
     }
 
     /// Moves the average towards the module's present weights.
@@ -74,7 +79,8 @@ fn flat_values<M: Module>(module: &M) -> Vec<Tensor<1>> {
         }
     }
     let mut collect = Collect(Vec::new());
-    module.visit(&mut collect);
+    // A network in training keeps its latest running statistics aside; its copy has them.
+    module.valid().visit(&mut collect);
     collect.0
 }
 
@@ -115,7 +121,10 @@ pub fn clip_gradients<M: Module>(
             }
         }
     }
-    let mut squares = Squares { grads: &grads, sums: Vec::new() };
+    let mut squares = Squares {
+        grads: &grads,
+        sums: Vec::new(),
+    };
     module.visit(&mut squares);
     if squares.sums.is_empty() {
         return Ok((grads, 0.0));
@@ -180,7 +189,9 @@ mod tests {
         let layer = DenseConfig::new(3, 2).init(&device);
         let mut average = AveragedWeights::new(&layer, 0.9, 10.0);
         average.update(&layer);
-        let difference = (average.module(&layer).weight.val() - layer.weight.val()).abs().max();
+        let difference = (average.module(&layer).weight.val() - layer.weight.val())
+            .abs()
+            .max();
         assert!(difference.into_scalar::<f32>() < 1e-6);
     }
 }

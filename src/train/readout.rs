@@ -3,7 +3,6 @@
 use burn::module::Param;
 use burn::tensor::{Tensor, TensorData};
 
-use crate::error::Result;
 use crate::ranging::RangingNetwork;
 
 /// Weight of the penalty on standardised coefficients, per training vehicle.
@@ -13,31 +12,42 @@ const RIDGE: f64 = 0.02;
 /// weighted by the inverse square of its distance, as the loss's relative term does.
 ///
 /// `features` are rows of `[features.., norm_w, norm_h]`.
-///
-/// # Errors
-/// Weights that cannot be replaced.
 pub fn fit_readout(
     mut network: RangingNetwork,
     features: &[Vec<f64>],
     distances_m: &[f64],
-) -> Result<RangingNetwork> {
+) -> RangingNetwork {
     let Some(width) = features.first().map(Vec::len) else {
-        return Ok(network);
+        return network;
     };
-    let weights: Vec<f64> = distances_m.iter().map(|distance| distance.powi(-2)).collect();
+    let weights: Vec<f64> = distances_m
+        .iter()
+        .map(|distance| distance.powi(-2))
+        .collect();
     let total: f64 = weights.iter().sum();
     let weighted = |values: &dyn Fn(usize) -> f64| -> f64 {
-        weights.iter().enumerate().map(|(row, weight)| weight * values(row)).sum::<f64>() / total
+        weights
+            .iter()
+            .enumerate()
+            .map(|(row, weight)| weight * values(row))
+            .sum::<f64>()
+            / total
     };
     let target_mean = weighted(&|row| distances_m[row]);
-    let means: Vec<f64> = (0..width).map(|column| weighted(&|row| features[row][column])).collect();
+    let means: Vec<f64> = (0..width)
+        .map(|column| weighted(&|row| features[row][column]))
+        .collect();
     let deviations: Vec<f64> = (0..width)
         .map(|column| weighted(&|row| (features[row][column] - means[column]).powi(2)).sqrt())
         .collect();
     // Constant columns (features that are never active) get no weight.
     let standard = |row: usize, column: usize| {
         let deviation = deviations[column];
-        if deviation > 1e-9 { (features[row][column] - means[column]) / deviation } else { 0.0 }
+        if deviation > 1e-9 {
+            (features[row][column] - means[column]) / deviation
+        } else {
+            0.0
+        }
     };
     let mut matrix = vec![vec![0.0; width + 1]; width];
     for (row, weight) in weights.iter().enumerate() {
@@ -57,9 +67,19 @@ pub fn fit_readout(
     let slopes: Vec<f64> = solution
         .iter()
         .zip(&deviations)
-        .map(|(value, deviation)| if *deviation > 1e-9 { value / deviation } else { 0.0 })
+        .map(|(value, deviation)| {
+            if *deviation > 1e-9 {
+                value / deviation
+            } else {
+                0.0
+            }
+        })
         .collect();
-    let shift: f64 = slopes.iter().zip(&means).map(|(slope, mean)| slope * mean).sum();
+    let shift: f64 = slopes
+        .iter()
+        .zip(&means)
+        .map(|(slope, mean)| slope * mean)
+        .sum();
     let replace = |values: Vec<f32>| {
         move |tensor: Tensor<1>| {
             Tensor::from_data(TensorData::new(values, tensor.dims()), &tensor.device())
@@ -72,8 +92,11 @@ pub fn fit_readout(
         Tensor::from_data(TensorData::new(slopes, tensor.dims()), &tensor.device())
             .set_require_grad(tensor.is_require_grad())
     });
-    network.out.bias = network.out.bias.map(replace(vec![(target_mean - shift) as f32]));
-    Ok(network)
+    network.out.bias = network
+        .out
+        .bias
+        .map(replace(vec![(target_mean - shift) as f32]));
+    network
 }
 
 /// Solves a symmetric positive definite system given as rows with the right-hand side last.
@@ -91,7 +114,9 @@ fn solve(mut rows: Vec<Vec<f64>>) -> Vec<f64> {
     }
     let mut solution = vec![0.0; count];
     for pivot in (0..count).rev() {
-        let known: f64 = (pivot + 1..count).map(|i| rows[pivot][i] * solution[i]).sum();
+        let known: f64 = (pivot + 1..count)
+            .map(|i| rows[pivot][i] * solution[i])
+            .sum();
         solution[pivot] = (rows[pivot][count] - known) / rows[pivot][pivot];
     }
     solution

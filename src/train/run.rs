@@ -9,7 +9,7 @@ use super::config::TrainConfig;
 use super::detector::DetectorRecipe;
 use super::distance::DistanceRecipe;
 use super::log::RunLog;
-use super::stage::{Recipe, StageResult, run_stage};
+use super::stage::{Recipe, StagePlace, StageResult, run_stage};
 use crate::dataset::{Split, StereoDataset};
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
@@ -97,10 +97,12 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
             &recipe.steering(),
             recipe.model(progress)?,
             recipe.optimizer()?,
-            request.run,
-            request.resume,
-            &mut log,
-            progress,
+            StagePlace {
+                run: request.run,
+                resume: request.resume,
+                log: &mut log,
+                progress,
+            },
         )?;
         summary.detector_seconds = Some(result.seconds);
         announce_best::<DetectorRecipe>(&result, progress);
@@ -112,11 +114,13 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
             &recipe,
             &recipe.steering(),
             recipe.model(progress)?,
-            recipe.optimizer(),
-            request.run,
-            request.resume,
-            &mut log,
-            progress,
+            DistanceRecipe::optimizer(),
+            StagePlace {
+                run: request.run,
+                resume: request.resume,
+                log: &mut log,
+                progress,
+            },
         )?;
         summary.distance_seconds = Some(result.seconds);
         announce_best::<DistanceRecipe>(&result, progress);
@@ -145,7 +149,10 @@ fn announce<R: Recipe>(recipe: &R, progress: &dyn Progress) {
 
 fn announce_best<R: Recipe>(result: &StageResult, progress: &dyn Progress) {
     if let Some((_, epoch)) = result.best {
-        progress.note(&format!("{}: best weights are those of epoch {epoch}", R::STAGE));
+        progress.note(&format!(
+            "{}: best weights are those of epoch {epoch}",
+            R::STAGE
+        ));
     }
 }
 
@@ -169,16 +176,20 @@ fn write_config(request: &TrainRequest, dataset: &StereoDataset) -> Result<()> {
 
 fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     let json = serde_json::to_vec_pretty(value).map_err(|source| {
-        Error::training(format!("cannot encode {}: {source}", path.display()), "report this as a defect")
+        Error::training(
+            format!("cannot encode {}: {source}", path.display()),
+            "report this as a defect",
+        )
     })?;
     files::write_atomically(path, &json)
 }
 
 impl fmt::Display for TrainSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (stage, seconds) in
-            [("detector", self.detector_seconds), ("distance", self.distance_seconds)]
-        {
+        for (stage, seconds) in [
+            ("detector", self.detector_seconds),
+            ("distance", self.distance_seconds),
+        ] {
             if let Some(seconds) = seconds {
                 writeln!(f, "{stage:<10} trained in {:.1} minutes", seconds / 60.0)?;
             }

@@ -73,7 +73,13 @@ pub trait Recipe {
     ///
     /// # Errors
     /// An item that cannot be loaded, or a device that fails.
-    fn loss(&self, model: &Self::Model, epoch: u32, items: &[usize], share: f64) -> Result<PassLoss>;
+    fn loss(
+        &self,
+        model: &Self::Model,
+        epoch: u32,
+        items: &[usize],
+        share: f64,
+    ) -> Result<PassLoss>;
 
     /// Writes a finished epoch's loss terms into its row.
     fn report_terms(&self, terms: &[f64], row: &mut EpochRow);
@@ -103,6 +109,18 @@ pub struct StageResult {
     pub seconds: f64,
 }
 
+/// Where a stage runs and reports.
+pub struct StagePlace<'a> {
+    /// Run folder.
+    pub run: &'a Path,
+    /// Go on from where a stopped run was.
+    pub resume: bool,
+    /// The run's logs.
+    pub log: &'a mut RunLog,
+    /// Who listens.
+    pub progress: &'a dyn Progress,
+}
+
 /// Trains a stage from its start or from where a stopped run left it.
 ///
 /// # Errors
@@ -113,19 +131,26 @@ pub fn run_stage<R: Recipe>(
     steering: &Steering,
     model: R::Model,
     mut optimizer: ModuleOptimizer,
-    run: &Path,
-    resume: bool,
-    log: &mut RunLog,
-    progress: &dyn Progress,
+    place: StagePlace,
 ) -> Result<StageResult> {
+    let StagePlace {
+        run,
+        resume,
+        log,
+        progress,
+    } = place;
     let started = Instant::now();
     let folder = StageFolder::new(run, R::STAGE);
     folder.create()?;
     initialize(&model);
     let mut model = model;
-    let mut average =
-        steering.average.map(|(decay, ramp)| AveragedWeights::new(&model, decay, ramp));
-    let mut state = StageState { settings: steering.settings.clone(), ..StageState::default() };
+    let mut average = steering
+        .average
+        .map(|(decay, ramp)| AveragedWeights::new(&model, decay, ramp));
+    let mut state = StageState {
+        settings: steering.settings.clone(),
+        ..StageState::default()
+    };
     if resume && let Some(saved) = folder.state(&steering.settings)? {
         let shadow = average.as_ref().map(|average| average.module(&model));
         let (loaded, shadow, loaded_optimizer) = folder.load(model, shadow, optimizer)?;
@@ -137,7 +162,11 @@ pub fn run_stage<R: Recipe>(
             average = Some(loaded);
         }
         state = saved;
-        progress.note(&format!("{}: resuming after epoch {}", R::STAGE, state.epoch));
+        progress.note(&format!(
+            "{}: resuming after epoch {}",
+            R::STAGE,
+            state.epoch
+        ));
     }
     log.rewind(R::STAGE, state.epoch);
 
@@ -145,7 +174,13 @@ pub fn run_stage<R: Recipe>(
     let steps_per_epoch = items.div_ceil(steering.batch) as u64;
     let remaining = u64::from(steering.epochs.saturating_sub(state.epoch)) * steps_per_epoch;
     progress.begin(R::STAGE, remaining);
-    let mut trainer = Trainer { recipe, steering, steps_per_epoch, log, progress };
+    let mut trainer = Trainer {
+        recipe,
+        steering,
+        steps_per_epoch,
+        log,
+        progress,
+    };
     while state.epoch < steering.epochs {
         let epoch = state.epoch;
         let mut row = trainer.epoch(&mut model, &mut optimizer, &mut average, &mut state)?;
@@ -182,7 +217,10 @@ pub fn run_stage<R: Recipe>(
         folder.save(&state, &model, shadow, &optimizer)?;
     }
     progress.end();
-    Ok(StageResult { best: state.best, seconds: started.elapsed().as_secs_f64() })
+    Ok(StageResult {
+        best: state.best,
+        seconds: started.elapsed().as_secs_f64(),
+    })
 }
 
 /// The parts of a stage that do not change from epoch to epoch.
@@ -260,11 +298,17 @@ impl<R: Recipe> Trainer<'_, R> {
             step: state.step,
             learning_rate: sums.learning_rate,
             loss: sums.loss / sums.items.max(1) as f64,
-            gradient_norm: steering.clip_norm.map(|_| sums.gradient_norm / sums.steps.max(1) as f64),
+            gradient_norm: steering
+                .clip_norm
+                .map(|_| sums.gradient_norm / sums.steps.max(1) as f64),
             images_per_second: sums.items as f64 / started.elapsed().as_secs_f64(),
             ..EpochRow::default()
         };
-        let terms: Vec<f64> = sums.terms.iter().map(|sum| sum / sums.items.max(1) as f64).collect();
+        let terms: Vec<f64> = sums
+            .terms
+            .iter()
+            .map(|sum| sum / sums.items.max(1) as f64)
+            .collect();
         self.recipe.report_terms(&terms, &mut row);
         Ok(row)
     }
@@ -275,7 +319,8 @@ impl<R: Recipe> Trainer<'_, R> {
         let epoch = step as f64 / self.steps_per_epoch.max(1) as f64;
         let last = steering.final_learning_rate;
         let factor = schedule_factor(steering.schedule, epoch, f64::from(steering.epochs), last);
-        let rise = (step + 1) as f64 / (steering.warmup_epochs * self.steps_per_epoch as f64).max(1.0);
+        let rise =
+            (step + 1) as f64 / (steering.warmup_epochs * self.steps_per_epoch as f64).max(1.0);
         steering.learning_rate * factor * rise.min(1.0)
     }
 
@@ -284,7 +329,10 @@ impl<R: Recipe> Trainer<'_, R> {
             return Ok(());
         }
         self.progress.end();
-        let names: Vec<String> = items.iter().map(|&item| self.recipe.item_name(item)).collect();
+        let names: Vec<String> = items
+            .iter()
+            .map(|&item| self.recipe.item_name(item))
+            .collect();
         Err(Error::training(
             format!(
                 "the {} loss is {} in epoch {}, step {}, on {}",
@@ -321,7 +369,11 @@ impl EpochSums {
 
 /// The order of the items in an epoch: it depends on seed and epoch alone.
 fn shuffled(items: usize, seed: u64, epoch: u32) -> Vec<usize> {
-    let seed = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(u64::from(epoch));
+    let seed = seed
+        .wrapping_mul(0x9E37_79B9_7F4A_7C15)
+        .wrapping_add(u64::from(epoch));
     let order = ShuffledDataset::new(InMemDataset::new((0..items).collect()), seed);
-    (0..order.len()).filter_map(|index| order.get(index).ok()).collect()
+    (0..order.len())
+        .filter_map(|index| order.get(index).ok())
+        .collect()
 }
