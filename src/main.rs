@@ -24,6 +24,7 @@ pub(crate) const INTERRUPTED: u8 = 130;
 static DEFECT: Mutex<Option<String>> = Mutex::new(None);
 
 fn main() -> ExitCode {
+    prefer_processor();
     panic::set_hook(Box::new(|info| {
         let mut defect = DEFECT.lock().unwrap_or_else(PoisonError::into_inner);
         defect.get_or_insert_with(|| info.to_string());
@@ -31,6 +32,20 @@ fn main() -> ExitCode {
     match panic::catch_unwind(parse_and_run) {
         Ok(code) => code,
         Err(_) => report_defect(),
+    }
+}
+
+/// Makes the processor Burn's default device. Burn loads an optimiser's state there before it moves
+/// it to where the network is; with GPU backends built in, that would open a graphics card that
+/// nobody asked for, or panic where there is none.
+fn prefer_processor() {
+    #[allow(
+        unsafe_code,
+        reason = "no other thread exists yet that could read the environment"
+    )]
+    // SAFETY: called first in `main`, before any thread is started.
+    unsafe {
+        std::env::set_var("BURN_DEVICE", "flex");
     }
 }
 

@@ -25,7 +25,7 @@ Examples:
 
 impl DevicesArgs {
     /// Lists the devices.
-    pub fn run(&self) -> Result<()> {
+    pub fn run() -> Result<()> {
         stdout::print(&table(&devices()))
     }
 }

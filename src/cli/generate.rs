@@ -93,19 +93,17 @@ impl GenerateArgs {
 
 /// What was made and where it is, in a line.
 pub fn summary(report: &GenerateReport, out: &Path) -> String {
-    let mut line = format!(
-        "dataset {}: {} frames ({} train, {} val, {} test)",
-        out.display(),
-        report.frames,
-        report.train,
-        report.val,
-        report.test
-    );
-    if report.reused > 0 {
-        line.push_str(&format!(
-            ", {} of them kept from a stopped run",
-            report.reused
-        ));
-    }
-    line
+    let GenerateReport {
+        frames,
+        reused,
+        train,
+        val,
+        test,
+    } = report;
+    let kept = match reused {
+        0 => String::new(),
+        reused => format!(", {reused} of them kept from a stopped run"),
+    };
+    let out = out.display();
+    format!("dataset {out}: {frames} frames ({train} train, {val} val, {test} test){kept}")
 }

@@ -64,7 +64,7 @@ impl Cli {
             Command::Train(args) => args.run(self.quiet),
             Command::Evaluate(args) => args.run(self.quiet),
             Command::Predict(args) => args.run(),
-            Command::Devices(args) => args.run(),
+            Command::Devices(_) => devices::DevicesArgs::run(),
         }
     }
 }

@@ -1,11 +1,10 @@
 //! Progress on standard error: bars on a terminal, a line now and then in a log file.
 
+use std::io::{self, IsTerminal as _};
 use std::process;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-
-use std::io::{self, IsTerminal as _};
 
 use indicatif::{HumanDuration, MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use twinsight::Result;
@@ -53,7 +52,7 @@ fn listen(terminal: &Arc<Terminal>) {
         if heard.interrupted.swap(true, Ordering::Relaxed) {
             process::exit(i32::from(INTERRUPTED));
         }
-        heard.note("stopping as soon as everything is saved; press Ctrl-C again to stop at once");
+        heard.note("stopping after the step at hand; press Ctrl-C again to stop at once");
     });
     if let Err(error) = installed {
         terminal.note(&format!(
@@ -159,17 +158,19 @@ impl Phase {
 
     /// The state as a line of text, this long after the beginning.
     fn line(&self, elapsed: Duration) -> String {
-        let percent = (100 * self.done).checked_div(self.total).unwrap_or(100);
-        let mut line = format!("{}: {percent} % ({}/{})", self.label, self.done, self.total);
-        if self.done > 0 {
-            let left = self.total.saturating_sub(self.done) as f64 / self.done as f64;
-            let left = HumanDuration(elapsed.mul_f64(left));
-            line.push_str(&format!(", {left} left"));
-        }
-        if !self.status.is_empty() {
-            line.push_str(&format!(", {}", self.status));
-        }
-        line
+        let (label, done, total) = (&self.label, self.done, self.total);
+        let percent = (100 * done).checked_div(total).unwrap_or(100);
+        let left = if done > 0 {
+            let left = total.saturating_sub(done) as f64 / done as f64;
+            format!(", {} left", HumanDuration(elapsed.mul_f64(left)))
+        } else {
+            String::new()
+        };
+        let comma = if self.status.is_empty() { "" } else { ", " };
+        format!(
+            "{label}: {percent} % ({done}/{total}){left}{comma}{}",
+            self.status
+        )
     }
 }
 
@@ -199,7 +200,7 @@ impl Progress for Terminal {
 
     fn status(&self, text: &str) {
         self.update(|phase| {
-            phase.status = text.to_owned();
+            text.clone_into(&mut phase.status);
             if let Some(bar) = &phase.bar {
                 bar.set_message(text.to_owned());
             }
@@ -234,7 +235,7 @@ mod tests {
         phase.done = 10;
         phase.status = "loss 3.2".to_owned();
         assert_eq!(
-            phase.line(Duration::from_secs(60)),
+            phase.line(Duration::from_mins(1)),
             "epoch 2/24: 25 % (10/40), 3 minutes left, loss 3.2"
         );
         assert_eq!(

@@ -21,7 +21,7 @@ use super::{presets, stdout, terminal};
 ///
 /// Settings come from a preset, over it a configuration file, over that the options below. The run
 /// folder receives the settings, the weights, checkpoints to go on from, and logs for TensorBoard.
-/// Ctrl-C saves everything and stops; --resume goes on from there.
+/// Every finished epoch is saved: after Ctrl-C or a power cut --resume goes on from the last one.
 #[derive(Debug, Args)]
 #[command(after_long_help = EXAMPLES)]
 pub struct TrainArgs {
@@ -207,7 +207,7 @@ impl TrainArgs {
     /// Finds out before the long work what would stop it in the end.
     fn check(&self, config: &TrainConfig, run: &Path) -> Result<()> {
         for stage in self.stage.sections() {
-            if !self.resume && !is_empty(&run.join(stage)) {
+            if !self.resume && holds_anything(&run.join(stage)) {
                 return Err(Error::value(
                     format!("run {}", run.display()),
                     format!("exists already and has a {stage}"),
@@ -263,25 +263,25 @@ impl TrainArgs {
 
     /// The command that trains another stage into the same run with the settings that both share.
     fn train_command(&self, stage: &str, data: &Path, run: &Path) -> String {
-        let mut command = format!("{} train {stage} --preset {}", program(), self.preset);
-        let mut add = |name: &str, value: Option<String>| {
-            if let Some(value) = value {
-                command.push_str(&format!(" {name} {value}"));
-            }
-        };
-        add("--config", self.config.as_deref().map(quoted));
-        add("--data", Some(quoted(data)));
-        add("--run", Some(quoted(run)));
-        add(
-            "--device",
-            (self.device != DeviceName::FLEX).then(|| self.device.to_string()),
-        );
-        add("--seed", self.overrides.seed.map(|seed| seed.to_string()));
-        add(
-            "--box-kind",
-            self.overrides.box_kind.map(|kind| kind.to_string()),
-        );
-        command
+        let overrides = &self.overrides;
+        let device = (self.device != DeviceName::FLEX).then_some(self.device);
+        let options = [
+            ("--preset", Some(self.preset.clone())),
+            ("--config", self.config.as_deref().map(quoted)),
+            ("--data", Some(quoted(data))),
+            ("--run", Some(quoted(run))),
+            ("--device", device.map(|device| device.to_string())),
+            ("--seed", overrides.seed.map(|seed| seed.to_string())),
+            (
+                "--box-kind",
+                overrides.box_kind.map(|kind| kind.to_string()),
+            ),
+        ];
+        let mut words = vec![program(), "train".to_owned(), stage.to_owned()];
+        for (name, value) in options {
+            words.extend(value.map(|value| format!("{name} {value}")));
+        }
+        words.join(" ")
     }
 }
 
@@ -347,12 +347,9 @@ fn set(table: &mut Table, section: &str, key: &str, value: impl Into<Value>) {
     }
 }
 
-/// Nothing there, or a folder without anything in it.
-fn is_empty(folder: &Path) -> bool {
-    match fs::read_dir(folder) {
-        Ok(mut entries) => entries.next().is_none(),
-        Err(error) => error.kind() == std::io::ErrorKind::NotFound,
-    }
+/// A folder with anything in it.
+fn holds_anything(folder: &Path) -> bool {
+    fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some())
 }
 
 /// The command that measures the first validation frame.

@@ -92,6 +92,12 @@ pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Ev
     let mut dataset = StereoDataset::open(request.data)?;
     dataset.check_images(progress)?;
     check_classes(&ranger, &dataset)?;
+    if dataset.rig() != ranger.rig() {
+        progress.note(
+            "the run was trained for another rig (resolution, focal length or baseline) than this \
+             dataset's: expect distances to be off",
+        );
+    }
     let kind = ranger.detector().header().box_kind;
     let frames = dataset.split(request.split);
     if frames.is_empty() {

@@ -1,6 +1,6 @@
-//! Ungrouped convolution on slices: forward, gradient of the input, gradient of the weights.
+//! Ungrouped convolution on slices: forward and gradient of the input.
 //!
-//! All three are matrix products whose right-hand side is never stored: row k of it is a run of
+//! Both are matrix products whose right-hand side is never stored: row k of it is a run of
 //! the padded input planes that starts at an offset (see [`PlaneLayout`]). All parallel splits
 //! depend on the shape alone, so results are the same for any number of threads.
 
@@ -26,11 +26,6 @@ pub enum Activation {
 
 /// Positions handled by one parallel task of a product.
 const TASK_POSITIONS: usize = 1536;
-/// Positions of one pass of the weight gradient: keeps a pass's planes in the second-level cache.
-const DOT_POSITIONS: usize = 1024;
-/// Independent parts of the weight gradient: the most threads it can use.
-const DOT_TASKS: usize = 4;
-
 /// Weights rearranged for [`simd::product_tile`]: blocks of tile rows, each k-major.
 #[derive(Debug, Clone)]
 pub struct PackedWeights {
@@ -178,7 +173,6 @@ fn finish(values: &mut [f32], bias: f32, activation: Activation) {
 
 thread_local! {
     static PLANES: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
-    static GRADS: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
 }
 
 /// Runs a product for every image: over images where there are several, else over positions.
@@ -293,7 +287,7 @@ pub fn forward(
 }
 
 /// Offsets of all taps in the weights' own order (channel, row, column).
-fn forward_offsets(shape: &ConvShape, layout: &PlaneLayout) -> Vec<usize> {
+pub(super) fn forward_offsets(shape: &ConvShape, layout: &PlaneLayout) -> Vec<usize> {
     let [kernel_h, kernel_w] = shape.kernel;
     let mut offsets = Vec::with_capacity(shape.fan_in());
     for channel in 0..shape.channels_in {
@@ -372,161 +366,6 @@ pub fn backward_input(shape: &ConvShape, grad: &[f32], weight: &[f32]) -> Vec<f3
         }
     }
     output
-}
-
-/// Sums of the weight gradient for some channels of one image, over one pass of positions.
-struct Dots<'a> {
-    grads: &'a [f32],
-    grad_stride: usize,
-    channels: usize,
-    planes: &'a [f32],
-    offsets: &'a [usize],
-    positions: usize,
-    sums: &'a mut [f32],
-}
-
-impl pulp::WithSimd for Dots<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        match S::F32_LANES {
-            16 => self.run::<S, 4, 6>(simd),
-            _ => self.run::<S, 3, 3>(simd),
-        }
-    }
-}
-
-impl Dots<'_> {
-    #[inline(always)]
-    fn run<S: Simd, const ROWS: usize, const COLUMNS: usize>(self, simd: S) {
-        let depth = self.offsets.len();
-        let mut start = 0;
-        while start < self.positions {
-            let len = DOT_POSITIONS
-                .min(self.positions - start)
-                .next_multiple_of(S::F32_LANES);
-            let mut channel = 0;
-            while channel < self.channels {
-                let rows = ROWS.min(self.channels - channel);
-                let mut k = 0;
-                while k < depth {
-                    let columns = COLUMNS.min(depth - k);
-                    let offsets: [usize; COLUMNS] =
-                        std::array::from_fn(|i| self.offsets[(k + i).min(depth - 1)] + start);
-                    // SAFETY: `grads` has ROWS - 1 spare rows past the last channel, its rows are
-                    // padded to whole vectors, and the planes have slack for a vector past the
-                    // last tap.
-                    let sums = unsafe {
-                        simd::dot_tile::<S, ROWS, COLUMNS>(
-                            simd,
-                            self.grads[channel * self.grad_stride + start..].as_ptr(),
-                            self.grad_stride,
-                            self.planes.as_ptr(),
-                            &offsets,
-                            len,
-                        )
-                    };
-                    for (m, sums) in sums.iter().take(rows).enumerate() {
-                        let row = (channel + m) * depth + k;
-                        for (total, sum) in self.sums[row..row + columns].iter_mut().zip(sums) {
-                            *total += sum;
-                        }
-                    }
-                    k += COLUMNS;
-                }
-                channel += ROWS;
-            }
-            start += DOT_POSITIONS;
-        }
-    }
-}
-
-/// Gradient of the weights, `[channels_out, channels_in, kernel_h, kernel_w]`.
-pub fn backward_weight(shape: &ConvShape, input: &[f32], grad: &[f32]) -> Vec<f32> {
-    let single = PlaneLayout::new(shape);
-    // Work is split over images as long as each part keeps dot products long, then over channels.
-    let long = 4 * DOT_POSITIONS;
-    let groups = (shape.batch * single.plane_len() / long).clamp(1, DOT_TASKS.min(shape.batch));
-    let per_group = shape.batch.div_ceil(groups);
-    let per_split = shape
-        .channels_out
-        .div_ceil(DOT_TASKS / groups)
-        .next_multiple_of(4);
-    let splits = shape.channels_out.div_ceil(per_split);
-    let at_once = long.div_ceil(single.plane_len()).clamp(1, per_group);
-    let partial: Vec<Vec<f32>> = (0..groups * splits)
-        .into_par_iter()
-        .map(|task| {
-            let (group, first) = (task / splits, task % splits * per_split);
-            let channels = first..(first + per_split).min(shape.channels_out);
-            let mut sums = vec![0.0; channels.len() * shape.fan_in()];
-            let end = ((group + 1) * per_group).min(shape.batch);
-            let mut image = group * per_group;
-            while image < end {
-                let images = at_once.min(end - image);
-                let input = &input[image * shape.input_len()..][..images * shape.input_len()];
-                let grad = &grad[image * shape.output_len()..][..images * shape.output_len()];
-                let layout = PlaneLayout { images, ..single };
-                add_weight_gradient(shape, &layout, input, grad, channels.clone(), &mut sums);
-                image += images;
-            }
-            sums
-        })
-        .collect();
-    let mut total = vec![0.0; shape.channels_out * shape.fan_in()];
-    for group in partial.chunks(splits) {
-        total
-            .iter_mut()
-            .zip(group.iter().flatten())
-            .for_each(|(a, b)| *a += b);
-    }
-    total
-}
-
-/// Adds the weight gradient of a few images to `sums`.
-fn add_weight_gradient(
-    shape: &ConvShape,
-    layout: &PlaneLayout,
-    input: &[f32],
-    grad: &[f32],
-    channels: std::ops::Range<usize>,
-    sums: &mut [f32],
-) {
-    let offsets = forward_offsets(shape, layout);
-    let (height_out, width_out) = (shape.height_out(), shape.width_out());
-    let positions =
-        (layout.images - 1) * layout.plane_len() + layout.positions(height_out, width_out);
-    let grad_stride = positions.next_multiple_of(16);
-    PLANES.with_borrow_mut(|planes| {
-        GRADS.with_borrow_mut(|grads| {
-            layout.fill(input, shape.channels_in, planes);
-            // Rows with the planes' pitch; zeros in between make those positions count for
-            // nothing. Three spare rows of zeros let the last block of channels be a full one.
-            grads.clear();
-            grads.resize((channels.len() + 3) * grad_stride, 0.0);
-            for (index, plane) in grad.chunks_exact(height_out * width_out).enumerate() {
-                let (image, channel) = (index / shape.channels_out, index % shape.channels_out);
-                if !channels.contains(&channel) {
-                    continue;
-                }
-                let channel = channel - channels.start;
-                for (y, row) in plane.chunks_exact(width_out).enumerate() {
-                    let at = channel * grad_stride + image * layout.plane_len() + y * layout.pitch;
-                    grads[at..at + width_out].copy_from_slice(row);
-                }
-            }
-            pulp::Arch::new().dispatch(Dots {
-                grads,
-                grad_stride,
-                channels: channels.len(),
-                planes,
-                offsets: &offsets,
-                positions,
-                sums,
-            });
-        });
-    });
 }
 
 /// A sum in sixteen independent lanes, in an order that does not depend on the machine.

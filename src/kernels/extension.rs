@@ -484,6 +484,7 @@ mod flex {
     use super::super::norm::{self, BatchStatistics, NormShape};
     use super::super::pool::{self, TwinInput, TwinShape};
     use super::super::shape::ConvShape;
+    use super::super::weight_grad;
     use super::{ConvGeometry, KernelBackend};
 
     type Tensor = FloatTensor<Flex>;
@@ -622,7 +623,7 @@ mod flex {
             let run = if geometry.groups > 1 {
                 depthwise::backward_weight
             } else {
-                conv::backward_weight
+                weight_grad::backward_weight
             };
             let values = with_values(&input, |input| {
                 with_values(&grad, |grad| run(&shape, input, grad))

@@ -23,6 +23,7 @@ pub mod norm;
 pub mod pool;
 pub mod shape;
 pub mod simd;
+pub mod weight_grad;
 
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;

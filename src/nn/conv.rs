@@ -26,6 +26,10 @@ pub struct ConvConfig {
     groups: usize,
     #[config(default = true)]
     bias: bool,
+    /// Bound of the uniform weights times the square root of the fan-in. 1 is PyTorch's default;
+    /// the square root of 3 keeps the variance through a linear layer, that of 6 through ReLU.
+    #[config(default = 1.0)]
+    gain: f64,
 }
 
 /// A two-dimensional convolution on [`crate::kernels`].
@@ -40,14 +44,23 @@ pub struct Conv {
 }
 
 impl ConvConfig {
-    /// A convolution with weights and bias uniform in `+-1 / sqrt(fan_in)`.
+    /// A convolution with weights uniform in `+-gain / sqrt(fan_in)` and, with the default gain, a
+    /// bias alike; with another gain the bias is zero.
     pub fn init(&self, device: &Device) -> Conv {
         let per_group = self.channels_in / self.groups;
         let fan_in = per_group * self.kernel_size * self.kernel_size;
         let bound = 1.0 / (fan_in as f64).sqrt();
-        let initializer = Initializer::Uniform {
-            min: -bound,
-            max: bound,
+        let weights = Initializer::Uniform {
+            min: -bound * self.gain,
+            max: bound * self.gain,
+        };
+        let biases = if self.gain == 1.0 {
+            Initializer::Uniform {
+                min: -bound,
+                max: bound,
+            }
+        } else {
+            Initializer::Zeros
         };
         let shape = [
             self.channels_out,
@@ -56,10 +69,8 @@ impl ConvConfig {
             self.kernel_size,
         ];
         Conv {
-            weight: initializer.init(shape, device),
-            bias: self
-                .bias
-                .then(|| initializer.init([self.channels_out], device)),
+            weight: weights.init(shape, device),
+            bias: self.bias.then(|| biases.init([self.channels_out], device)),
             geometry: ConvGeometry {
                 stride: self.stride,
                 padding: self.padding,

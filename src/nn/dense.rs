@@ -9,6 +9,10 @@ use burn::tensor::{Device, Tensor};
 pub struct DenseConfig {
     inputs: usize,
     outputs: usize,
+    /// Bound of the uniform weights times the square root of the inputs; see
+    /// [`ConvConfig`](super::ConvConfig).
+    #[config(default = 1.0)]
+    gain: f64,
 }
 
 /// `x W^T + b`.
@@ -21,16 +25,16 @@ pub struct Dense {
 }
 
 impl DenseConfig {
-    /// A layer with weights and bias uniform in `+-1 / sqrt(inputs)`.
+    /// A layer with weights uniform in `+-gain / sqrt(inputs)` and zero bias.
     pub fn init(&self, device: &Device) -> Dense {
-        let bound = 1.0 / (self.inputs as f64).sqrt();
+        let bound = self.gain / (self.inputs as f64).sqrt();
         let initializer = Initializer::Uniform {
             min: -bound,
             max: bound,
         };
         Dense {
             weight: initializer.init([self.outputs, self.inputs], device),
-            bias: initializer.init([self.outputs], device),
+            bias: Initializer::Zeros.init([self.outputs], device),
         }
     }
 }

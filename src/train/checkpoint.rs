@@ -21,8 +21,9 @@ pub struct StageState {
     pub ema_updates: u64,
     /// Best validation result so far and its epoch.
     pub best: Option<(f64, u32)>,
-    /// The settings of the stage, to notice that they changed.
-    pub settings: serde_json::Value,
+    /// The settings of the stage as JSON text, to notice that they changed. Text, because numbers
+    /// that are parsed and compared again may differ in their last bit.
+    pub settings: String,
 }
 
 /// The folder of a stage: weights for users, and what resuming needs.
@@ -113,7 +114,7 @@ impl StageFolder {
     ///
     /// # Errors
     /// A state that cannot be read, or that belongs to other settings.
-    pub fn state(&self, settings: &serde_json::Value) -> Result<Option<StageState>> {
+    pub fn state(&self, settings: &str) -> Result<Option<StageState>> {
         let (current, old) = (self.resume(), self.folder.join("resume.old"));
         if !current.exists() && old.exists() {
             // A stop between the two renames of `save`.
@@ -130,7 +131,7 @@ impl StageFolder {
                 "delete the folder to start the stage afresh",
             )
         })?;
-        if state.settings != *settings {
+        if state.settings != settings {
             return Err(Error::training(
                 format!("{} belongs to a run with other settings", path.display()),
                 "resume with the settings of the run's config.json, or train into another --run",

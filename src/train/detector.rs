@@ -147,7 +147,7 @@ impl DetectorRecipe {
             clip_norm: Some(settings.clip_norm),
             average: Some((settings.ema_decay, settings.ema_ramp)),
             validate_every: settings.validate_every,
-            settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }),
+            settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }).to_string(),
         }
     }
 

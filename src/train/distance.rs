@@ -16,7 +16,7 @@ use super::augment::mirror_composite;
 use super::config::{DistanceTraining, TrainConfig};
 use super::log::EpochRow;
 use super::optimizer::{initialize, scalar};
-use super::readout::fit_readout;
+use super::readout::{ReadoutSample, fit_readout};
 use super::stage::{PassLoss, Recipe, Steering};
 use crate::dataset::{
     CompositeStatistics, Frame, Split, StereoDataset, StereoLabel, composite_into_planes,
@@ -133,25 +133,36 @@ impl DistanceRecipe {
         progress.begin("distance, first fit", self.train.len() as u64);
         let inference = network.valid();
         let device = self.device.clone().without_autodiff();
-        let mut rows = Vec::new();
+        let weight = inference.out.weight.val();
+        let [_, inputs] = weight.dims();
+        let weight = weight.narrow(1, 0, inputs - 2).transpose(); // [features, 1]
+        let mut samples = Vec::new();
         for vehicles in self.train.chunks(self.settings.micro_batch) {
             let batch = self.load(vehicles, None, &device)?;
-            let features = inference.features(batch.composites).fc2;
-            let all = Tensor::cat(vec![features, batch.geometry], 1);
-            let [_, width] = all.dims();
-            let values = all
-                .try_into_vec_as::<f64>()
-                .map_err(|source| Error::training(source.to_string(), "try another device"))?;
-            rows.extend(values.chunks_exact(width).map(<[f64]>::to_vec));
+            let from_features = inference
+                .features(batch.composites)
+                .fc2
+                .matmul(weight.clone());
+            let read = |tensor: Tensor<2>| {
+                tensor
+                    .try_into_vec_as::<f64>()
+                    .map_err(|source| Error::training(source.to_string(), "try another device"))
+            };
+            let (from_features, geometry) = (read(from_features)?, read(batch.geometry)?);
+            let (geometry, _) = geometry.as_chunks::<2>();
+            for ((from_features, geometry), vehicle) in
+                from_features.iter().zip(geometry).zip(vehicles)
+            {
+                samples.push(ReadoutSample {
+                    geometry: *geometry,
+                    from_features: *from_features,
+                    distance_m: vehicle.label.distance_m,
+                });
+            }
             progress.advance(vehicles.len() as u64);
         }
         progress.end();
-        let distances: Vec<f64> = self
-            .train
-            .iter()
-            .map(|vehicle| vehicle.label.distance_m)
-            .collect();
-        Ok(fit_readout(network, &rows, &distances))
+        Ok(fit_readout(network, &samples))
     }
 
     /// Adam.
@@ -178,7 +189,7 @@ impl DistanceRecipe {
             clip_norm: None,
             average: None,
             validate_every: settings.validate_every,
-            settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }),
+            settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }).to_string(),
         }
     }
 

@@ -1,125 +1,86 @@
 //! A good start for the distance network's last layer.
 
-use burn::module::Param;
 use burn::tensor::{Tensor, TensorData};
 
 use crate::ranging::RangingNetwork;
 
-/// Weight of the penalty on standardised coefficients, per training vehicle.
-const RIDGE: f64 = 0.02;
+/// Weight of the penalty on the standardised coefficients: decides between box width and height,
+/// which say the same for square boxes, and hardly changes the fit.
+const RIDGE: f64 = 1e-3;
 
-/// Sets the last layer to the ridge regression of distance on features and geometry, each vehicle
-/// weighted by the inverse square of its distance, as the loss's relative term does.
+/// A training vehicle as the last layer sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReadoutSample {
+    /// Normalised box width and height.
+    pub geometry: [f64; 2],
+    /// What the last layer makes of the image's features alone, without bias.
+    pub from_features: f64,
+    /// True distance, metres.
+    pub distance_m: f64,
+}
+
+/// Sets the last layer's bias and geometry weights to the regression of what the image's features
+/// leave unexplained on the box size. The features' own weights stay as they are: fitted to
+/// untrained features they would be huge, and the first steps would blow the network up.
 ///
-/// `features` are rows of `[features.., norm_w, norm_h]`.
-pub fn fit_readout(
-    mut network: RangingNetwork,
-    features: &[Vec<f64>],
-    distances_m: &[f64],
-) -> RangingNetwork {
-    let Some(width) = features.first().map(Vec::len) else {
+/// Each vehicle is weighted by the inverse square of its distance, as the loss's relative term
+/// does.
+pub fn fit_readout(mut network: RangingNetwork, samples: &[ReadoutSample]) -> RangingNetwork {
+    if samples.is_empty() {
         return network;
-    };
-    let weights: Vec<f64> = distances_m
-        .iter()
-        .map(|distance| distance.powi(-2))
-        .collect();
-    let total: f64 = weights.iter().sum();
-    let weighted = |values: &dyn Fn(usize) -> f64| -> f64 {
-        weights
-            .iter()
-            .enumerate()
-            .map(|(row, weight)| weight * values(row))
-            .sum::<f64>()
-            / total
-    };
-    let target_mean = weighted(&|row| distances_m[row]);
-    let means: Vec<f64> = (0..width)
-        .map(|column| weighted(&|row| features[row][column]))
-        .collect();
-    let deviations: Vec<f64> = (0..width)
-        .map(|column| weighted(&|row| (features[row][column] - means[column]).powi(2)).sqrt())
-        .collect();
-    // Constant columns (features that are never active) get no weight.
-    let standard = |row: usize, column: usize| {
-        let deviation = deviations[column];
-        if deviation > 1e-9 {
-            (features[row][column] - means[column]) / deviation
-        } else {
-            0.0
-        }
-    };
-    let mut matrix = vec![vec![0.0; width + 1]; width];
-    for (row, weight) in weights.iter().enumerate() {
-        let weight = weight / total;
-        let values: Vec<f64> = (0..width).map(|column| standard(row, column)).collect();
-        for i in 0..width {
-            for j in 0..width {
-                matrix[i][j] += weight * values[i] * values[j];
-            }
-            matrix[i][width] += weight * values[i] * (distances_m[row] - target_mean);
-        }
     }
-    for (i, row) in matrix.iter_mut().enumerate() {
-        row[i] += RIDGE;
-    }
-    let solution = solve(matrix);
-    let slopes: Vec<f64> = solution
-        .iter()
-        .zip(&deviations)
-        .map(|(value, deviation)| {
-            if *deviation > 1e-9 {
-                value / deviation
-            } else {
-                0.0
-            }
-        })
-        .collect();
-    let shift: f64 = slopes
-        .iter()
-        .zip(&means)
-        .map(|(slope, mean)| slope * mean)
-        .sum();
-    let replace = |values: Vec<f32>| {
-        move |tensor: Tensor<1>| {
-            Tensor::from_data(TensorData::new(values, tensor.dims()), &tensor.device())
-                .set_require_grad(tensor.is_require_grad())
-        }
-    };
-    let slopes: Vec<f32> = slopes.into_iter().map(|slope| slope as f32).collect();
-    let weight: Param<Tensor<2>> = network.out.weight.clone();
-    network.out.weight = weight.map(|tensor| {
-        Tensor::from_data(TensorData::new(slopes, tensor.dims()), &tensor.device())
+    let (slopes, bias) = regress(samples);
+    network.out.weight = network.out.weight.map(|tensor| {
+        let [_, inputs] = tensor.dims();
+        let features = tensor.clone().narrow(1, 0, inputs - 2);
+        let slopes = TensorData::new(slopes.map(|slope| slope as f32).to_vec(), [1, 2]);
+        let slopes = Tensor::from_data(slopes, &tensor.device());
+        Tensor::cat(vec![features, slopes], 1)
+            .detach()
             .set_require_grad(tensor.is_require_grad())
     });
-    network.out.bias = network
-        .out
-        .bias
-        .map(replace(vec![(target_mean - shift) as f32]));
+    network.out.bias = network.out.bias.map(|tensor| {
+        Tensor::full([1], bias, &tensor.device()).set_require_grad(tensor.is_require_grad())
+    });
     network
 }
 
-/// Solves a symmetric positive definite system given as rows with the right-hand side last.
-fn solve(mut rows: Vec<Vec<f64>>) -> Vec<f64> {
-    let count = rows.len();
-    for pivot in 0..count {
-        let (above, below) = rows.split_at_mut(pivot + 1);
-        let lead = &above[pivot];
-        for row in below {
-            let factor = row[pivot] / lead[pivot];
-            for (value, lead) in row[pivot..].iter_mut().zip(&lead[pivot..]) {
-                *value -= factor * lead;
-            }
-        }
-    }
-    let mut solution = vec![0.0; count];
-    for pivot in (0..count).rev() {
-        let known: f64 = (pivot + 1..count)
-            .map(|i| rows[pivot][i] * solution[i])
-            .sum();
-        solution[pivot] = (rows[pivot][count] - known) / rows[pivot][pivot];
-    }
-    solution
+/// Weighted ridge regression: slopes of both box sides and the constant.
+fn regress(samples: &[ReadoutSample]) -> ([f64; 2], f64) {
+    let total: f64 = samples
+        .iter()
+        .map(|sample| sample.distance_m.powi(-2))
+        .sum();
+    let mean = |value: &dyn Fn(&ReadoutSample) -> f64| -> f64 {
+        samples
+            .iter()
+            .map(|sample| value(sample) * sample.distance_m.powi(-2))
+            .sum::<f64>()
+            / total
+    };
+    let rest = |sample: &ReadoutSample| sample.distance_m - sample.from_features;
+    let rest_mean = mean(&rest);
+    let means = [0, 1].map(|side| mean(&|sample| sample.geometry[side]));
+    let spreads = [0, 1].map(|side| {
+        mean(&|sample| (sample.geometry[side] - means[side]).powi(2))
+            .sqrt()
+            .max(1e-9)
+    });
+    let standard =
+        |sample: &ReadoutSample, side: usize| (sample.geometry[side] - means[side]) / spreads[side];
+    let product = |a: usize, b: usize| mean(&|sample| standard(sample, a) * standard(sample, b));
+    let (aa, ab, bb) = (product(0, 0) + RIDGE, product(0, 1), product(1, 1) + RIDGE);
+    let [a, b] =
+        [0, 1].map(|side| mean(&|sample| standard(sample, side) * (rest(sample) - rest_mean)));
+    let determinant = aa * bb - ab * ab;
+    let slopes = [
+        (bb * a - ab * b) / determinant / spreads[0],
+        (aa * b - ab * a) / determinant / spreads[1],
+    ];
+    (
+        slopes,
+        rest_mean - slopes[0] * means[0] - slopes[1] * means[1],
+    )
 }
 
 #[cfg(test)]
@@ -127,8 +88,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_small_system_is_solved() {
-        let solution = solve(vec![vec![4.0, 1.0, 9.0], vec![1.0, 3.0, 5.0]]);
-        assert!((solution[0] - 2.0).abs() < 1e-12 && (solution[1] - 1.0).abs() < 1e-12);
+    fn a_linear_law_is_found_even_when_width_and_height_say_the_same() {
+        let samples: Vec<ReadoutSample> = (1..50)
+            .map(|step| {
+                let width = f64::from(step) / 500.0;
+                let from_features = f64::from(step % 7);
+                ReadoutSample {
+                    geometry: [width, width * 16.0 / 9.0],
+                    from_features,
+                    distance_m: 60.0 - 300.0 * width + from_features,
+                }
+            })
+            .collect();
+        let (slopes, bias) = regress(&samples);
+        for sample in &samples {
+            let [width, height] = sample.geometry;
+            let fitted = bias + slopes[0] * width + slopes[1] * height + sample.from_features;
+            assert!(
+                (fitted - sample.distance_m).abs() < 0.1,
+                "{fitted} {sample:?}"
+            );
+        }
     }
 }

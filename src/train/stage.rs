@@ -41,8 +41,8 @@ pub struct Steering {
     pub average: Option<(f64, f64)>,
     /// Validate every so many epochs.
     pub validate_every: u32,
-    /// The stage's settings, to notice on resuming that they changed.
-    pub settings: serde_json::Value,
+    /// The stage's settings as JSON text, to notice on resuming that they changed.
+    pub settings: String,
 }
 
 /// The loss of one forward pass.
