@@ -132,6 +132,7 @@ fn main() -> Result<()> {
     if !std::env::args().any(|argument| argument == "--bench") {
         return Ok(());
     }
+    twinsight::kernels::keep_freed_memory();
     let name = std::env::var("TWINSIGHT_BENCH_DEVICE").unwrap_or_else(|_| "flex".to_owned());
     let device = name.parse::<DeviceName>()?.open()?;
     println!(

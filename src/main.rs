@@ -25,6 +25,7 @@ static DEFECT: Mutex<Option<String>> = Mutex::new(None);
 
 fn main() -> ExitCode {
     prefer_processor();
+    twinsight::kernels::keep_freed_memory();
     panic::set_hook(Box::new(|info| {
         let mut defect = DEFECT.lock().unwrap_or_else(PoisonError::into_inner);
         defect.get_or_insert_with(|| info.to_string());

@@ -19,6 +19,7 @@
 pub mod conv;
 pub mod depthwise;
 mod extension;
+mod memory;
 pub mod norm;
 pub mod pool;
 pub mod shape;
@@ -30,6 +31,7 @@ use burn::tensor::Tensor;
 
 pub use conv::Activation;
 pub use extension::{ConvGeometry, KernelBackend};
+pub use memory::keep_freed_memory;
 pub use pool::TwinInput;
 
 /// Convolution without bias or activation, differentiable.

@@ -109,9 +109,11 @@ pub struct DistanceTraining {
     pub final_learning_rate: f64,
     /// How the learning rate falls.
     pub schedule: Schedule,
-    /// Start from the last layer that fits the training distances best (ridge regression), rather
-    /// than from random numbers: metres are large numbers, and Adam walks there slowly.
-    pub fit_readout: bool,
+    /// Epochs over which the learning rate rises.
+    pub warmup_epochs: f64,
+    /// Fit the first weights to the data, rather than start from random numbers alone: every layer
+    /// normalised on training composites, the last one by ridge regression.
+    pub fit_start: bool,
     /// Spread of the boxes' edges around the labels, as a share of the box: imitates the
     /// detector's errors. 0 trains on the labels' boxes alone.
     pub box_jitter: f64,
@@ -225,6 +227,7 @@ impl TrainConfig {
                 1.0..=distance.batch.max(1) as f64,
             ),
             ("distance.learning_rate", distance.learning_rate, 1e-9..=1.0),
+            ("distance.warmup_epochs", distance.warmup_epochs, 0.0..=1e6),
             (
                 "distance.final_learning_rate",
                 distance.final_learning_rate,

@@ -15,8 +15,9 @@ use rayon::prelude::*;
 use super::augment::mirror_composite;
 use super::config::{DistanceTraining, TrainConfig};
 use super::log::EpochRow;
+use super::normalize::normalize_layers;
 use super::optimizer::{initialize, scalar};
-use super::readout::{ReadoutSample, fit_readout};
+use super::readout::fit_readout;
 use super::stage::{PassLoss, Recipe, Steering};
 use crate::dataset::{
     CompositeStatistics, Frame, Split, StereoDataset, StereoLabel, composite_into_planes,
@@ -35,6 +36,9 @@ use crate::ranging::{
 const BETAS: [f32; 2] = [0.9, 0.999];
 /// Adam's guard against division by zero.
 const EPSILON: f32 = 1e-8;
+
+/// Composites on which the first weights are normalised, at most.
+const NORMALIZED: usize = 32;
 
 /// A labelled vehicle in its frame.
 #[derive(Debug, Clone)]
@@ -125,44 +129,36 @@ impl DistanceRecipe {
     /// A frame that cannot be read, or a device that fails.
     pub fn model(&self, progress: &dyn Progress) -> Result<RangingNetwork> {
         self.device.seed(self.seed);
-        let network = RangingConfig::for_size(self.settings.composite).init(&self.device)?;
-        initialize(&network);
-        if !self.settings.fit_readout {
-            return Ok(network);
-        }
-        progress.begin("distance, first fit", self.train.len() as u64);
-        let inference = network.valid();
         let device = self.device.clone().without_autodiff();
-        let weight = inference.out.weight.val();
-        let [_, inputs] = weight.dims();
-        let weight = weight.narrow(1, 0, inputs - 2).transpose(); // [features, 1]
-        let mut samples = Vec::new();
+        let network = RangingConfig::for_size(self.settings.composite).init(&device)?;
+        initialize(&network);
+        if !self.settings.fit_start {
+            return Ok(network.train());
+        }
+        progress.begin("distance, first weights", self.train.len() as u64);
+        // Evenly over the data: neighbours show the same scene.
+        let step = self.train.len().div_ceil(NORMALIZED);
+        let some: Vec<Vehicle> = self.train.iter().step_by(step).cloned().collect();
+        let network = normalize_layers(network, self.load(&some, None, &device)?.composites);
+        let mut rows = Vec::new();
         for vehicles in self.train.chunks(self.settings.micro_batch) {
             let batch = self.load(vehicles, None, &device)?;
-            let from_features = inference
-                .features(batch.composites)
-                .fc2
-                .matmul(weight.clone());
-            let read = |tensor: Tensor<2>| {
-                tensor
-                    .try_into_vec_as::<f64>()
-                    .map_err(|source| Error::training(source.to_string(), "try another device"))
-            };
-            let (from_features, geometry) = (read(from_features)?, read(batch.geometry)?);
-            let (geometry, _) = geometry.as_chunks::<2>();
-            for ((from_features, geometry), vehicle) in
-                from_features.iter().zip(geometry).zip(vehicles)
-            {
-                samples.push(ReadoutSample {
-                    geometry: *geometry,
-                    from_features: *from_features,
-                    distance_m: vehicle.label.distance_m,
-                });
-            }
+            let features = network.features(batch.composites).fc2;
+            let inputs = Tensor::cat(vec![features, batch.geometry], 1);
+            let [_, width] = inputs.dims();
+            let values = inputs
+                .try_into_vec_as::<f64>()
+                .map_err(|source| Error::training(source.to_string(), "try another device"))?;
+            rows.extend(values.chunks_exact(width).map(<[f64]>::to_vec));
             progress.advance(vehicles.len() as u64);
         }
         progress.end();
-        Ok(fit_readout(network, &samples))
+        let distances_m: Vec<f64> = self
+            .train
+            .iter()
+            .map(|vehicle| vehicle.label.distance_m)
+            .collect();
+        Ok(fit_readout(network, &rows, &distances_m).train())
     }
 
     /// Adam.
@@ -185,7 +181,7 @@ impl DistanceRecipe {
             learning_rate: settings.learning_rate,
             final_learning_rate: settings.final_learning_rate,
             schedule: settings.schedule,
-            warmup_epochs: 0.0,
+            warmup_epochs: settings.warmup_epochs,
             clip_norm: None,
             average: None,
             validate_every: settings.validate_every,

@@ -6,6 +6,7 @@ mod config;
 mod detector;
 mod distance;
 mod log;
+mod normalize;
 pub mod optimizer;
 mod readout;
 mod run;

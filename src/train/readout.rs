@@ -4,39 +4,29 @@ use burn::tensor::{Tensor, TensorData};
 
 use crate::ranging::RangingNetwork;
 
-/// Weight of the penalty on the standardised coefficients: decides between box width and height,
-/// which say the same for square boxes, and hardly changes the fit.
-const RIDGE: f64 = 1e-3;
+/// Weight of the penalty on standardised coefficients: as if a tenth of each column's variance
+/// were noise.
+const RIDGE: f64 = 0.1;
 
-/// A training vehicle as the last layer sees it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ReadoutSample {
-    /// Normalised box width and height.
-    pub geometry: [f64; 2],
-    /// What the last layer makes of the image's features alone, without bias.
-    pub from_features: f64,
-    /// True distance, metres.
-    pub distance_m: f64,
-}
-
-/// Sets the last layer's bias and geometry weights to the regression of what the image's features
-/// leave unexplained on the box size. The features' own weights stay as they are: fitted to
-/// untrained features they would be huge, and the first steps would blow the network up.
+/// Sets the last layer to the ridge regression of distance on features and geometry.
 ///
-/// Each vehicle is weighted by the inverse square of its distance, as the loss's relative term
-/// does.
-pub fn fit_readout(mut network: RangingNetwork, samples: &[ReadoutSample]) -> RangingNetwork {
-    if samples.is_empty() {
+/// Metres are large numbers, and Adam at its usual rate walks there slowly; from the regression on
+/// the untrained features the first steps already pull at the right ends. Each vehicle is
+/// weighted by the inverse square of its distance, as the loss's relative term does.
+///
+/// `rows` hold the last layer's inputs of each training vehicle.
+pub fn fit_readout(
+    mut network: RangingNetwork,
+    rows: &[Vec<f64>],
+    distances_m: &[f64],
+) -> RangingNetwork {
+    if rows.is_empty() {
         return network;
     }
-    let (slopes, bias) = regress(samples);
+    let (slopes, bias) = regress(rows, distances_m);
     network.out.weight = network.out.weight.map(|tensor| {
-        let [_, inputs] = tensor.dims();
-        let features = tensor.clone().narrow(1, 0, inputs - 2);
-        let slopes = TensorData::new(slopes.map(|slope| slope as f32).to_vec(), [1, 2]);
-        let slopes = Tensor::from_data(slopes, &tensor.device());
-        Tensor::cat(vec![features, slopes], 1)
-            .detach()
+        let slopes: Vec<f32> = slopes.iter().map(|slope| *slope as f32).collect();
+        Tensor::from_data(TensorData::new(slopes, tensor.dims()), &tensor.device())
             .set_require_grad(tensor.is_require_grad())
     });
     network.out.bias = network.out.bias.map(|tensor| {
@@ -45,42 +35,83 @@ pub fn fit_readout(mut network: RangingNetwork, samples: &[ReadoutSample]) -> Ra
     network
 }
 
-/// Weighted ridge regression: slopes of both box sides and the constant.
-fn regress(samples: &[ReadoutSample]) -> ([f64; 2], f64) {
-    let total: f64 = samples
-        .iter()
-        .map(|sample| sample.distance_m.powi(-2))
-        .sum();
-    let mean = |value: &dyn Fn(&ReadoutSample) -> f64| -> f64 {
-        samples
+/// Weighted ridge regression: one slope a column, and the constant.
+fn regress(rows: &[Vec<f64>], targets: &[f64]) -> (Vec<f64>, f64) {
+    let width = rows[0].len();
+    let weights: Vec<f64> = targets.iter().map(|target| target.powi(-2)).collect();
+    let total: f64 = weights.iter().sum();
+    let mean = |value: &dyn Fn(usize) -> f64| -> f64 {
+        weights
             .iter()
-            .map(|sample| value(sample) * sample.distance_m.powi(-2))
+            .enumerate()
+            .map(|(row, weight)| weight * value(row))
             .sum::<f64>()
             / total
     };
-    let rest = |sample: &ReadoutSample| sample.distance_m - sample.from_features;
-    let rest_mean = mean(&rest);
-    let means = [0, 1].map(|side| mean(&|sample| sample.geometry[side]));
-    let spreads = [0, 1].map(|side| {
-        mean(&|sample| (sample.geometry[side] - means[side]).powi(2))
-            .sqrt()
-            .max(1e-9)
-    });
-    let standard =
-        |sample: &ReadoutSample, side: usize| (sample.geometry[side] - means[side]) / spreads[side];
-    let product = |a: usize, b: usize| mean(&|sample| standard(sample, a) * standard(sample, b));
-    let (aa, ab, bb) = (product(0, 0) + RIDGE, product(0, 1), product(1, 1) + RIDGE);
-    let [a, b] =
-        [0, 1].map(|side| mean(&|sample| standard(sample, side) * (rest(sample) - rest_mean)));
-    let determinant = aa * bb - ab * ab;
-    let slopes = [
-        (bb * a - ab * b) / determinant / spreads[0],
-        (aa * b - ab * a) / determinant / spreads[1],
-    ];
-    (
-        slopes,
-        rest_mean - slopes[0] * means[0] - slopes[1] * means[1],
-    )
+    let target_mean = mean(&|row| targets[row]);
+    let means: Vec<f64> = (0..width)
+        .map(|column| mean(&|row| rows[row][column]))
+        .collect();
+    let spreads: Vec<f64> = (0..width)
+        .map(|column| mean(&|row| (rows[row][column] - means[column]).powi(2)).sqrt())
+        .collect();
+    // Columns that never change, such as features that are never active, get no slope.
+    let scale = |column: usize| {
+        if spreads[column] > 1e-6 {
+            1.0 / spreads[column]
+        } else {
+            0.0
+        }
+    };
+    let mut matrix = vec![vec![0.0; width + 1]; width];
+    for ((row, target), weight) in rows.iter().zip(targets).zip(&weights) {
+        let values: Vec<f64> = (0..width)
+            .map(|column| (row[column] - means[column]) * scale(column))
+            .collect();
+        for (i, line) in matrix.iter_mut().enumerate() {
+            for (j, cell) in line[..width].iter_mut().enumerate() {
+                *cell += weight / total * values[i] * values[j];
+            }
+            line[width] += weight / total * values[i] * (target - target_mean);
+        }
+    }
+    for (i, line) in matrix.iter_mut().enumerate() {
+        line[i] += RIDGE;
+    }
+    let slopes: Vec<f64> = solve(matrix)
+        .iter()
+        .enumerate()
+        .map(|(column, slope)| slope * scale(column))
+        .collect();
+    let shift: f64 = slopes
+        .iter()
+        .zip(&means)
+        .map(|(slope, mean)| slope * mean)
+        .sum();
+    (slopes, target_mean - shift)
+}
+
+/// Solves a symmetric positive definite system given as lines with the right-hand side last.
+fn solve(mut lines: Vec<Vec<f64>>) -> Vec<f64> {
+    let count = lines.len();
+    for pivot in 0..count {
+        let (above, below) = lines.split_at_mut(pivot + 1);
+        let lead = &above[pivot];
+        for line in below {
+            let factor = line[pivot] / lead[pivot];
+            for (value, lead) in line[pivot..].iter_mut().zip(&lead[pivot..]) {
+                *value -= factor * lead;
+            }
+        }
+    }
+    let mut solution = vec![0.0; count];
+    for pivot in (0..count).rev() {
+        let known: f64 = (pivot + 1..count)
+            .map(|i| lines[pivot][i] * solution[i])
+            .sum();
+        solution[pivot] = (lines[pivot][count] - known) / lines[pivot][pivot];
+    }
+    solution
 }
 
 #[cfg(test)]
@@ -88,26 +119,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_linear_law_is_found_even_when_width_and_height_say_the_same() {
-        let samples: Vec<ReadoutSample> = (1..50)
-            .map(|step| {
-                let width = f64::from(step) / 500.0;
-                let from_features = f64::from(step % 7);
-                ReadoutSample {
-                    geometry: [width, width * 16.0 / 9.0],
-                    from_features,
-                    distance_m: 60.0 - 300.0 * width + from_features,
-                }
-            })
+    fn a_small_system_is_solved() {
+        let solution = solve(vec![vec![4.0, 1.0, 9.0], vec![1.0, 3.0, 5.0]]);
+        assert!((solution[0] - 2.0).abs() < 1e-12 && (solution[1] - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_fit_beats_the_mean_and_columns_that_never_change_get_no_slope() {
+        let rows: Vec<Vec<f64>> = (0..60)
+            .map(|i| vec![f64::from(i) / 60.0, 3.0, f64::from(i % 7)])
             .collect();
-        let (slopes, bias) = regress(&samples);
-        for sample in &samples {
-            let [width, height] = sample.geometry;
-            let fitted = bias + slopes[0] * width + slopes[1] * height + sample.from_features;
-            assert!(
-                (fitted - sample.distance_m).abs() < 0.1,
-                "{fitted} {sample:?}"
-            );
+        let targets: Vec<f64> = rows
+            .iter()
+            .map(|row| 10.0 + 40.0 * row[0] + row[2])
+            .collect();
+        let (slopes, bias) = regress(&rows, &targets);
+        assert_eq!(slopes[1], 0.0);
+        for (row, target) in rows.iter().zip(&targets) {
+            let fitted = bias + row.iter().zip(&slopes).map(|(v, s)| v * s).sum::<f64>();
+            assert!((fitted - target).abs() < 5.0, "{fitted} {target}");
         }
     }
 }
