@@ -106,6 +106,28 @@ impl DeviceName {
     }
 }
 
+impl DeviceName {
+    /// Refuses a device on which training is known to go wrong without a word.
+    ///
+    /// # Errors
+    /// Mesa's software driver: it ends long shader loops early, and Burn's weight gradients come
+    /// out wrong by up to 90 % on large images.
+    pub fn check_training(self) -> Result<()> {
+        #[cfg(feature = "wgpu")]
+        if self.kind == Kind::Wgpu
+            && let Some(adapter) = gpu::wgpu_adapters().get(self.index)
+            && adapter.contains("llvmpipe")
+        {
+            return Err(Error::device(
+                self.to_string(),
+                format!("{adapter} computes wrong gradients on large images"),
+                "train on a graphics card or with --device flex; evaluation and prediction work",
+            ));
+        }
+        Ok(())
+    }
+}
+
 impl FromStr for DeviceName {
     type Err = Error;
 

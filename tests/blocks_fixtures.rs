@@ -1,4 +1,11 @@
 //! The detector's building blocks against reference numbers, each alone, on every device.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "tests panic and report where the library must not"
+)]
 
 mod support;
 
@@ -64,37 +71,37 @@ fn run(case: &Case) -> (Tensor<4>, StateDict) {
                 .with_stride(case.argument(2).unwrap_or(1))
                 .with_groups(case.argument(3).unwrap_or(1))
                 .with_activated(case.settings["args"][4].as_bool().unwrap_or(true));
-            case.run(config.init(device), |block, x| block.forward(x))
+            case.run(config.init(device), twinsight::nn::ConvBlock::forward)
         }
         "bottleneck" => {
             let config = BottleneckConfig::new(case.size(0), case.size(1));
-            case.run(config.init(device), |block, x| block.forward(x))
+            case.run(config.init(device), twinsight::nn::Bottleneck::forward)
         }
         "c3k" => {
             let config = C3kConfig::new(case.size(0));
-            case.run(config.init(device), |block, x| block.forward(x))
+            case.run(config.init(device), twinsight::nn::C3k::forward)
         }
         "c3k2" => {
             let c3k = case.settings["args"][2].as_bool().unwrap();
             let expansion = case.settings["args"][3].as_f64().unwrap();
             let config = C3k2Config::new(channels, case.size(0), case.size(1), c3k, expansion);
-            case.run(config.init(device), |block, x| block.forward(x))
+            case.run(config.init(device), twinsight::nn::C3k2::forward)
         }
         "sppf" => {
             let config = SppfConfig::new(channels, case.size(0));
-            case.run(config.init(device), |block, x| block.forward(x))
+            case.run(config.init(device), twinsight::nn::Sppf::forward)
         }
         "attention" => {
             let config = AttentionConfig::new(channels);
-            case.run(config.init(device), |block, x| block.forward(x))
+            case.run(config.init(device), twinsight::nn::Attention::forward)
         }
         "psablock" => {
             let config = PsaBlockConfig::new(channels);
-            case.run(config.init(device), |block, x| block.forward(x))
+            case.run(config.init(device), twinsight::nn::PsaBlock::forward)
         }
         "c2psa" => {
             let config = C2psaConfig::new(case.size(0), case.size(1));
-            case.run(config.init(device), |block, x| block.forward(x))
+            case.run(config.init(device), twinsight::nn::C2psa::forward)
         }
         other => panic!("{}: there is no block {other}", case.label),
     }

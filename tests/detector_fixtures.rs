@@ -1,4 +1,11 @@
 //! Whole detectors against reference numbers: outputs, layers, parts, statistics, names, sizes.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "tests panic and report where the library must not"
+)]
 
 mod support;
 

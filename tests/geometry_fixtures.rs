@@ -1,4 +1,11 @@
 //! Letterbox and non-maximum suppression against the reference numbers, exactly.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "tests panic and report where the library must not"
+)]
 
 mod support;
 

@@ -1,5 +1,12 @@
 //! The detector's loss against reference numbers: assignment, terms and gradients, from given
 //! head outputs and through the whole network.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "tests panic and report where the library must not"
+)]
 
 mod support;
 
@@ -7,35 +14,13 @@ use std::collections::BTreeMap;
 
 use burn::tensor::{Device, Tensor};
 use support::fixture::{Fixture, assert_abs, assert_close};
+use support::network::Extent;
 use support::{devices, network};
 use twinsight::detector::assign::{Target, complete_iou};
 use twinsight::detector::decode::{Anchors, expected_sides};
 use twinsight::detector::loss::{DetectionLoss, LossGains, detection_loss};
 use twinsight::detector::weights::tensor_name;
 use twinsight::detector::{FlatOutput, Yolo11};
-
-/// Batch size, height and width of a fixture's pictures.
-type Extent = [usize; 3];
-
-/// The targets of every image, in pixels.
-fn targets(fixture: &Fixture, [batch, height, width]: Extent) -> Vec<Vec<Target>> {
-    let mut targets = vec![Vec::new(); batch];
-    let rows = fixture.values("in.targets");
-    let (rows, _) = rows.as_chunks::<6>();
-    for &[image, class, cx, cy, w, h] in rows {
-        let (width, height) = (width as f64, height as f64);
-        targets[image as usize].push(Target {
-            class: class as usize,
-            box_letterbox: [
-                (cx - w / 2.0) * width,
-                (cy - h / 2.0) * height,
-                (cx + w / 2.0) * width,
-                (cy + h / 2.0) * height,
-            ],
-        });
-    }
-    targets
-}
 
 /// The predicted boxes, edges in pixels, image by image and anchor by anchor.
 fn predicted_boxes(output: &FlatOutput, anchors: &Anchors) -> Vec<[f64; 4]> {
@@ -147,7 +132,7 @@ fn check_raw(name: &str, device_name: &str, device: &Device) {
         size[0],
         size[1],
     ];
-    let targets = targets(&fixture, extent);
+    let targets = network::targets(&fixture, extent);
     let gradients = check_loss(&fixture, &output, &targets, extent, 1e-4, &what).backward();
     for (tensor, name) in [
         (&output.boxes, "out.grad_boxes"),
@@ -200,7 +185,7 @@ fn check_network(name: &str, prepare: fn(Yolo11, &mut [Vec<Target>]) -> Yolo11) 
     let device = devices::flex().autodiff();
     let shape = fixture.meta_sizes("input_shape");
     let extent = [shape[0], shape[2], shape[3]];
-    let mut targets = targets(&fixture, extent);
+    let mut targets = network::targets(&fixture, extent);
     let detector = prepare(network::detector(&fixture, &device), &mut targets);
     let output = detector
         .forward(network::detector_input(&fixture, &device))
@@ -229,7 +214,7 @@ fn check_gradients(fixture: &Fixture, gradients: &BTreeMap<String, Vec<f32>>, wh
     let mut layers = [0.0; 24];
     for (name, norm) in names.iter().zip(&norms) {
         let square = norm * norm;
-        let group = if name.ends_with(".bias") {
+        let group = if name.rsplit('.').next() == Some("bias") {
             "bias"
         } else if name.ends_with(".bn.weight") {
             "norm_weight"

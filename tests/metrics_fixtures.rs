@@ -1,4 +1,11 @@
 //! Average precision, curves, COCO figures and distance errors against the reference numbers.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "tests panic and report where the library must not"
+)]
 
 mod support;
 

@@ -1,5 +1,12 @@
 //! The twin-branch ranging network against reference numbers: every block, the result, the loss
 //! and its gradients.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "tests panic and report where the library must not"
+)]
 
 mod support;
 

@@ -157,7 +157,7 @@ fn labelled_centres_keep_the_disparity_law_and_boxes_lie_around_them() {
             assert_eq!(number(0, 8), distance_m);
             assert!(number(0, 10) >= config.min_visible - 0.1);
             // The sphere's square is around the centre, and the tight box around what can be seen.
-            assert!(((number(0, 2) + number(0, 4)) / 2.0 - number(0, 6)).abs() < 2e-4);
+            assert!((f64::midpoint(number(0, 2), number(0, 4)) - number(0, 6)).abs() < 2e-4);
             if number(1, 10) > 0.95 {
                 assert!(number(1, 2) < number(0, 6) && number(1, 4) > number(0, 6));
                 assert!(number(1, 3) < number(0, 7) && number(1, 5) > number(0, 7));

@@ -350,7 +350,7 @@ pub fn backward_input(shape: &ConvShape, grad: &[f32], weight: &[f32]) -> Vec<f3
                 step: s,
                 image: [shape.height_in, shape.width_in],
             };
-            let in_place = reach == 0 && layout.pitch == width_out && layout.rows <= height_out;
+            let in_place = reach == 0 && layout.pitch == width_out && layout.rows == height_out;
             products(
                 shape.batch,
                 grad,

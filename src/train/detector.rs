@@ -2,8 +2,6 @@
 
 use std::path::Path;
 
-use burn::module::ParamGroup;
-use burn::optim::{AdamConfig, ModuleOptimizer, decay::WeightDecayConfig};
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_dataset::Dataset as _;
 use rand_pcg::Pcg64;
@@ -24,11 +22,6 @@ use crate::evaluate::detection_metrics;
 use crate::geometry::letterbox::Size;
 use crate::progress::Progress;
 use crate::weights::StateDict;
-
-/// Decay rates of Adam's moments in YOLO11's recipe.
-const BETAS: [f32; 2] = [0.937, 0.999];
-/// Adam's guard against division by zero.
-const EPSILON: f32 = 1e-8;
 
 /// Training images, augmentation and loss of the detector.
 pub struct DetectorRecipe {
@@ -110,26 +103,6 @@ impl DetectorRecipe {
             ));
         }
         Ok(model)
-    }
-
-    /// Adam with weight decay on convolution weights only.
-    ///
-    /// # Errors
-    /// Never in practice: the group's pattern is constant.
-    pub fn optimizer(&self) -> Result<ModuleOptimizer> {
-        let adam = AdamConfig::new()
-            .with_beta_1(BETAS[0])
-            .with_beta_2(BETAS[1])
-            .with_epsilon(EPSILON);
-        let decay = WeightDecayConfig::new(self.settings.weight_decay as f32);
-        let decayed = adam.clone().with_weight_decay(Some(decay)).init();
-        let plain = ParamGroup::from_regex(r"(gamma|beta|bias)$").map_err(|source| {
-            Error::training(
-                format!("the parameter groups do not compile: {source:?}"),
-                "report this as a defect",
-            )
-        })?;
-        Ok(decayed.with_group(plain, adam.build(), None))
     }
 
     /// The numbers that steer the stage.

@@ -5,7 +5,6 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::module::Module as _;
-use burn::optim::{AdamConfig, ModuleOptimizer};
 use burn::tensor::{Device, Tensor, TensorData};
 use image::RgbImage;
 use rand::RngExt as _;
@@ -31,11 +30,6 @@ use crate::progress::Progress;
 use crate::ranging::{
     DistanceEstimator, RangingConfig, RangingHeader, RangingNetwork, ranging_loss,
 };
-
-/// Decay rates of Adam's moments: the usual ones.
-const BETAS: [f32; 2] = [0.9, 0.999];
-/// Adam's guard against division by zero.
-const EPSILON: f32 = 1e-8;
 
 /// Composites on which the first weights are normalised, at most.
 const NORMALIZED: usize = 32;
@@ -159,15 +153,6 @@ impl DistanceRecipe {
             .map(|vehicle| vehicle.label.distance_m)
             .collect();
         Ok(fit_readout(network, &rows, &distances_m).train())
-    }
-
-    /// Adam.
-    pub fn optimizer() -> ModuleOptimizer {
-        AdamConfig::new()
-            .with_beta_1(BETAS[0])
-            .with_beta_2(BETAS[1])
-            .with_epsilon(EPSILON)
-            .init()
     }
 
     /// The numbers that steer the stage.

@@ -9,6 +9,7 @@ use super::config::TrainConfig;
 use super::detector::DetectorRecipe;
 use super::distance::DistanceRecipe;
 use super::log::RunLog;
+use super::optimizer::{detector_optimizer, distance_optimizer};
 use super::stage::{Recipe, StagePlace, StageResult, run_stage};
 use crate::dataset::{Split, StereoDataset};
 use crate::device::DeviceName;
@@ -69,6 +70,7 @@ pub struct TrainSummary {
 /// # Errors
 /// [`Error::Interrupted`] on the user's wish; otherwise whatever stops it.
 pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSummary> {
+    request.device.check_training()?;
     let device = request.device.open()?;
     request.config.validate()?;
     let mut dataset = StereoDataset::open(request.data)?;
@@ -96,7 +98,7 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
             &recipe,
             &recipe.steering(),
             recipe.model(progress)?,
-            recipe.optimizer()?,
+            detector_optimizer(request.config.detector.weight_decay)?,
             StagePlace {
                 run: request.run,
                 resume: request.resume,
@@ -114,7 +116,7 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
             &recipe,
             &recipe.steering(),
             recipe.model(progress)?,
-            DistanceRecipe::optimizer(),
+            distance_optimizer(),
             StagePlace {
                 run: request.run,
                 resume: request.resume,

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use burn::module::{Flag, Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use twinsight::detector::assign::Target;
 use twinsight::detector::weights::tensor_name;
 use twinsight::detector::{Scale, Yolo11, Yolo11Config};
 use twinsight::weights::StateDict;
@@ -38,6 +39,29 @@ pub fn detector_input(fixture: &Fixture, device: &Device) -> Tensor<4> {
     let key = fixture.meta_text("image_key");
     let pixels = formula::image_batch(&key, shape[0], shape[2], shape[3]);
     Tensor::from_data(TensorData::new(pixels, shape), device)
+}
+
+/// Batch size, height and width of a fixture's pictures.
+pub type Extent = [usize; 3];
+
+/// The targets of every image, in pixels.
+pub fn targets(fixture: &Fixture, [batch, height, width]: Extent) -> Vec<Vec<Target>> {
+    let mut targets = vec![Vec::new(); batch];
+    let rows = fixture.values("in.targets");
+    let (rows, _) = rows.as_chunks::<6>();
+    for &[image, class, cx, cy, w, h] in rows {
+        let (width, height) = (width as f64, height as f64);
+        targets[image as usize].push(Target {
+            class: class as usize,
+            box_letterbox: [
+                (cx - w / 2.0) * width,
+                (cy - h / 2.0) * height,
+                (cx + w / 2.0) * width,
+                (cy + h / 2.0) * height,
+            ],
+        });
+    }
+    targets
 }
 
 /// A float32 tensor of a fixture on a device.
