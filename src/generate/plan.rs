@@ -271,7 +271,7 @@ mod tests {
                 0
             };
         }
-        assert_eq!(validating, 60);
+        assert_eq!(validating, 120);
     }
 
     #[test]

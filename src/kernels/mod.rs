@@ -19,6 +19,9 @@
 pub mod conv;
 pub mod depthwise;
 mod extension;
+#[cfg(feature = "flex")]
+mod flex;
+mod gradients;
 mod memory;
 pub mod norm;
 pub mod pool;
