@@ -10,6 +10,7 @@ pub fn flex() -> Device {
 /// Every device of this build and machine by name, the default one first. A graphics card that
 /// the build supports but the machine does not have is left out, with a line that says why.
 pub fn every() -> Vec<(&'static str, Device)> {
+    #[allow(unused_mut, reason = "only some features add devices")]
     let mut devices = vec![("flex", flex())];
     #[cfg(feature = "ndarray")]
     #[allow(deprecated, reason = "a second opinion for as long as Burn ships it")]
