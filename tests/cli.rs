@@ -483,6 +483,12 @@ fn a_run_that_exists_is_only_touched_to_resume_or_to_add_the_other_network() {
 
     place.run(next.split_whitespace().skip(1)).success();
     place.line(&format!("train {settings} --resume")).success();
+
+    let config = fs::read(place.path("r/config.json")).unwrap();
+    place
+        .line(&format!("train {settings} --resume --seed 77"))
+        .error_says(&["other settings", "config.json", "--run"]);
+    assert_eq!(fs::read(place.path("r/config.json")).unwrap(), config);
 }
 
 #[test]

@@ -5,5 +5,6 @@ mod pipeline;
 
 pub use detection::detection_metrics;
 pub use pipeline::{
-    DetectionFigures, EvaluateRequest, Evaluation, PipelineFigures, evaluate, match_vehicles,
+    DetectionFigures, EvaluateRequest, Evaluation, PipelineFigures, evaluate, evaluate_dataset,
+    match_vehicles,
 };

@@ -14,6 +14,7 @@ use crate::metrics::{DistanceErrors, DistanceSummary};
 use crate::pipeline::{StereoRanger, Vehicle};
 use crate::progress::Progress;
 use crate::ranging::Sighting;
+use crate::train::saved_config;
 
 /// Least intersection over union of a found and a labelled box of the same vehicle.
 const MATCH_IOU: f64 = 0.5;
@@ -82,7 +83,7 @@ pub struct PipelineFigures {
     pub distance: Option<DistanceSummary>,
 }
 
-/// Evaluates a run.
+/// Evaluates a run. Frames are divided as the run divided them for its training.
 ///
 /// # Errors
 /// A run or dataset that cannot be used, an empty split, or a device that fails.
@@ -90,8 +91,27 @@ pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Ev
     let device = request.device.open()?;
     let ranger = StereoRanger::load(request.run, &device)?;
     let mut dataset = StereoDataset::open(request.data)?;
+    if let Some(config) = saved_config(request.run)?
+        && let Some(split) = config.split
+    {
+        dataset.resplit(split, config.seed)?;
+    }
     dataset.check_images(progress)?;
-    check_classes(&ranger, &dataset)?;
+    evaluate_dataset(&ranger, request.run, &dataset, request.split, progress)
+}
+
+/// Evaluates a loaded run on a dataset whose images are checked and whose frames are divided.
+///
+/// # Errors
+/// A dataset with other classes, an empty split, or a device that fails.
+pub fn evaluate_dataset(
+    ranger: &StereoRanger,
+    run: &Path,
+    dataset: &StereoDataset,
+    split: Split,
+    progress: &dyn Progress,
+) -> Result<Evaluation> {
+    check_classes(ranger, dataset)?;
     if dataset.rig() != ranger.rig() {
         progress.note(
             "the run was trained for another rig (resolution, focal length or baseline) than this \
@@ -99,17 +119,17 @@ pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Ev
         );
     }
     let kind = ranger.detector().header().box_kind;
-    let frames = dataset.split(request.split);
+    let frames = dataset.split(split);
     if frames.is_empty() {
         return Err(Error::dataset(
-            request.data,
-            format!("has no usable frames with split {}", request.split),
+            &dataset.folder,
+            format!("has no usable frames with split {split}"),
             "give another --split or --data",
         ));
     }
     progress.begin("evaluation", frames.len() as u64 + 1);
     progress.status("detector");
-    let source = DetectionSource::new(&dataset, request.split, kind, 0);
+    let source = DetectionSource::new(dataset, split, kind, 0);
     let detection = detection_metrics(ranger.detector(), &source)?.compute();
     progress.advance(1);
     progress.status("pipeline");
@@ -122,14 +142,14 @@ pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Ev
                 resume: "run the command again".to_owned(),
             });
         }
-        evaluate_frame(&ranger, &dataset, frame, &mut true_boxes, &mut tally)?;
+        evaluate_frame(ranger, dataset, frame, &mut true_boxes, &mut tally)?;
         progress.advance(1);
     }
     progress.end();
     Ok(Evaluation {
-        run: request.run.to_path_buf(),
-        data: request.data.to_path_buf(),
-        split: request.split,
+        run: run.to_path_buf(),
+        data: dataset.folder.clone(),
+        split,
         frames: frames.len(),
         detection: DetectionFigures {
             images: source.len(),

@@ -15,4 +15,4 @@ mod stage;
 pub use checkpoint::{StageFolder, StageState};
 pub use config::{DetectorTraining, DistanceTraining, Schedule, TrainConfig};
 pub use log::{EpochRow, RunLog};
-pub use run::{Stage, TrainRequest, TrainSummary, train};
+pub use run::{Stage, TrainRequest, TrainSummary, saved_config, train};

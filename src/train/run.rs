@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::config::TrainConfig;
 use super::detector::DetectorRecipe;
@@ -14,8 +14,9 @@ use super::stage::{Recipe, StagePlace, StageResult, run_stage};
 use crate::dataset::{Split, StereoDataset};
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
-use crate::evaluate::{EvaluateRequest, Evaluation, evaluate};
+use crate::evaluate::{Evaluation, evaluate_dataset};
 use crate::files;
+use crate::pipeline::StereoRanger;
 use crate::progress::Progress;
 
 /// Which networks are trained.
@@ -82,6 +83,9 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
         progress.note(&format!("left out: {problem}"));
     }
     files::create_folder(request.run)?;
+    if request.resume {
+        refuse_other_settings(request)?;
+    }
     write_config(request, &dataset)?;
     let mut log = RunLog::open(request.run)?;
     let mut summary = TrainSummary {
@@ -131,15 +135,9 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
         .iter()
         .all(|stage| super::StageFolder::new(request.run, stage).best().exists());
     if complete && !dataset.split(Split::Val).is_empty() {
-        summary.evaluation = Some(evaluate(
-            &EvaluateRequest {
-                run: request.run,
-                data: request.data,
-                split: Split::Val,
-                device: request.device,
-            },
-            progress,
-        )?);
+        let ranger = StereoRanger::load(request.run, &device)?;
+        let evaluation = evaluate_dataset(&ranger, request.run, &dataset, Split::Val, progress)?;
+        summary.evaluation = Some(evaluation);
     }
     write_json(&request.run.join("summary.json"), &summary)?;
     Ok(summary)
@@ -156,6 +154,53 @@ fn announce_best<R: Recipe>(result: &StageResult, progress: &dyn Progress) {
             R::STAGE
         ));
     }
+}
+
+/// The settings that a run folder was last trained with, if it has any.
+///
+/// # Errors
+/// A `config.json` that cannot be read.
+pub fn saved_config(run: &Path) -> Result<Option<TrainConfig>> {
+    #[derive(Deserialize)]
+    struct Saved {
+        config: TrainConfig,
+    }
+    let path = run.join("config.json");
+    if !path.exists() {
+        return Ok(None);
+    }
+    let saved: Saved = serde_json::from_str(&files::read_text(&path)?).map_err(|source| {
+        Error::value(
+            path.display().to_string(),
+            format!("does not hold a run's settings: {source}"),
+            "restore the file that `train` wrote",
+        )
+    })?;
+    Ok(Some(saved.config))
+}
+
+/// Refuses to resume a network under other settings than it was started with, before the run's
+/// own `config.json`, which says what to go back to, is replaced.
+fn refuse_other_settings(request: &TrainRequest) -> Result<()> {
+    let Some(saved) = saved_config(request.run)? else {
+        return Ok(());
+    };
+    let config = request.config;
+    let started = |stage: &str| super::StageFolder::new(request.run, stage).last().exists();
+    let shared =
+        (saved.seed, saved.box_kind, saved.split) != (config.seed, config.box_kind, config.split);
+    let detector = request.stage != Stage::Distance && started("detector");
+    let distance = request.stage != Stage::Detector && started("distance");
+    let differs = (shared && (detector || distance))
+        || (detector && saved.detector != config.detector)
+        || (distance && saved.distance != config.distance);
+    if !differs {
+        return Ok(());
+    }
+    Err(Error::training(
+        format!("{} was started with other settings", request.run.display()),
+        "resume with those in its config.json, or train into another --run",
+    ))
 }
 
 /// `config.json`: the settings and what they were applied to.
