@@ -492,6 +492,30 @@ fn a_run_that_exists_is_only_touched_to_resume_or_to_add_the_other_network() {
 }
 
 #[test]
+fn a_run_that_divided_the_frames_anew_is_evaluated_on_the_frames_it_did_not_train_on() {
+    let place = with_dataset();
+    // The dataset itself keeps nothing for validation.
+    let frames = fs::read_to_string(place.path("data/frames.csv")).unwrap();
+    assert!(frames.contains(",val,"), "{frames}");
+    place.write("data/frames.csv", frames.replace(",val,", ",train,"));
+    place.write("anew.toml", format!("split = \"frame\"\n{TINY_TRAINING}"));
+    place
+        .line("train --config anew.toml --data data --run r")
+        .success();
+    place
+        .line("evaluate --run r --data data --split val --json again.json")
+        .success();
+    let read = |file: &str| -> serde_json::Value {
+        serde_json::from_slice(&fs::read(place.path(file)).unwrap()).unwrap()
+    };
+    let (trained, again) = (read("r/summary.json"), read("again.json"));
+    for part in ["frames", "detection", "true_boxes", "pipeline"] {
+        assert!(!again[part].is_null(), "{again}");
+        assert_eq!(trained["evaluation"][part], again[part], "{part}");
+    }
+}
+
+#[test]
 fn weights_of_the_wrong_network_and_damaged_ones_are_refused_by_name() {
     let place = with_dataset();
     place
