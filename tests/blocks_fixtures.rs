@@ -17,6 +17,7 @@ use support::fixture::{Fixture, assert_close};
 use support::formula::{self, Fill};
 use support::network;
 use twinsight::detector::weights::tensor_name;
+use twinsight::kernels;
 use twinsight::nn::{
     AttentionConfig, BottleneckConfig, C2psaConfig, C3k2Config, C3kConfig, ConvBlockConfig,
     PsaBlockConfig, SppfConfig,
@@ -52,7 +53,7 @@ impl Case<'_> {
         let block = network::fill(block, &fill, block_name);
         let numbers = formula::units(&format!("{tag}#in"), self.shape.iter().product());
         let input = Tensor::from_data(TensorData::new(numbers, self.shape), &self.device);
-        let output = forward(&block, input);
+        let output = kernels::planes(forward(&block, kernels::pixels(input)));
         (output, StateDict::of(&block.valid(), block_name))
     }
 }

@@ -4,6 +4,7 @@ use burn::config::Config;
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 
+use crate::kernels;
 use crate::nn::{Conv, ConvBlock, ConvBlockConfig, ConvConfig};
 
 /// Bins of the distribution of each box side.
@@ -135,7 +136,7 @@ fn class_bias(classes: usize, stride: usize) -> f64 {
 
 impl Head {
     /// # Shapes
-    /// - inputs: `[batch, channels, height / stride, width / stride]` for strides 8, 16, 32
+    /// - inputs: `[batch, height / stride, width / stride, channels]` for strides 8, 16, 32
     pub fn forward(&self, inputs: [Tensor<4>; 3]) -> RawOutput {
         let mut level = 0;
         let levels = inputs.map(|input| {
@@ -150,7 +151,8 @@ impl Head {
                 .iter()
                 .flatten()
                 .fold(input, |x, block| block.forward(x));
-            Tensor::cat(vec![boxes.out.forward(x), classes.out.forward(y)], 1)
+            let output = Tensor::cat(vec![boxes.out.forward(x), classes.out.forward(y)], 3);
+            kernels::planes(output)
         });
         RawOutput { levels }
     }
@@ -164,7 +166,7 @@ impl Head {
                 .into_iter()
                 .map(|branch| BoxBranch {
                     blocks: fold(branch.blocks),
-                    out: branch.out,
+                    out: branch.out.packed(),
                 })
                 .collect(),
             cv3: self
@@ -172,7 +174,7 @@ impl Head {
                 .into_iter()
                 .map(|branch| ClassBranch {
                     blocks: branch.blocks.into_iter().map(fold).collect(),
-                    out: branch.out,
+                    out: branch.out.packed(),
                 })
                 .collect(),
         }

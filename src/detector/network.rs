@@ -2,11 +2,11 @@
 
 use burn::config::Config;
 use burn::module::Module;
-use burn::nn::interpolate::{Interpolate2d, Interpolate2dConfig, InterpolateMode};
 use burn::tensor::{Device, Tensor};
 
 use super::config::Scale;
 use super::head::{Head, HeadConfig, RawOutput};
+use crate::kernels;
 use crate::nn::{
     C2psa, C2psaConfig, C3k2, C3k2Config, ConvBlock, ConvBlockConfig, Sppf, SppfConfig,
 };
@@ -50,7 +50,6 @@ pub struct Yolo11 {
     pub layer20: ConvBlock,
     pub layer22: C3k2,
     pub layer23: Head,
-    upsample: Interpolate2d,
 }
 
 impl Yolo11Config {
@@ -95,10 +94,6 @@ impl Yolo11Config {
             layer23: HeadConfig::new([c(256), c(512), c(1024)], self.classes)
                 .with_class_width(self.class_width)
                 .init(device),
-            upsample: Interpolate2dConfig::new()
-                .with_scale_factor(Some([2.0, 2.0]))
-                .with_mode(InterpolateMode::Nearest)
-                .init(),
         }
     }
 }
@@ -109,18 +104,30 @@ impl Yolo11 {
     /// # Shapes
     /// - input: `[batch, 3, height, width]`, RGB in 0..1, both sides multiples of 32
     /// - output: the head's raw output at strides 8, 16 and 32
-    pub fn forward(&self, input: Tensor<4>) -> RawOutput {
-        self.forward_observed(input, |_, _| {})
-    }
-
-    /// [`Yolo11::forward`], showing the output of every layer 0 to 22 as it is made.
     ///
     /// # Panics
     /// When a side of the input is not a multiple of 32.
+    pub fn forward(&self, input: Tensor<4>) -> RawOutput {
+        self.run(input, None)
+    }
+
+    /// [`Yolo11::forward`], showing the output of every layer 0 to 22 as it is made, `[batch,
+    /// channels, height, width]`.
+    ///
+    /// # Panics
+    /// As [`Yolo11::forward`].
     pub fn forward_observed(
         &self,
         input: Tensor<4>,
         mut observe: impl FnMut(usize, &Tensor<4>),
+    ) -> RawOutput {
+        self.run(input, Some(&mut observe))
+    }
+
+    fn run(
+        &self,
+        input: Tensor<4>,
+        mut observe: Option<&mut dyn FnMut(usize, &Tensor<4>)>,
     ) -> RawOutput {
         let [_, _, height, width] = input.dims();
         assert!(
@@ -128,10 +135,12 @@ impl Yolo11 {
             "input {width}x{height}: both sides must be multiples of 32"
         );
         let mut layer = |index: usize, output: Tensor<4>| {
-            observe(index, &output);
+            if let Some(observe) = &mut observe {
+                observe(index, &kernels::planes(output.clone()));
+            }
             output
         };
-        let x = layer(0, self.layer0.forward(input));
+        let x = layer(0, self.layer0.forward(kernels::pixels(input)));
         let x = layer(1, self.layer1.forward(x));
         let x = layer(2, self.layer2.forward(x));
         let x = layer(3, self.layer3.forward(x));
@@ -142,20 +151,27 @@ impl Yolo11 {
         let x = layer(8, self.layer8.forward(x));
         let x = layer(9, self.layer9.forward(x));
         let x10 = layer(10, self.layer10.forward(x));
-        // Top-down: the up-sampled tensor comes first in every concatenation.
-        let x = layer(11, self.upsample.forward(x10.clone()));
-        let x = layer(12, Tensor::cat(vec![x, x6], 1));
-        let x13 = layer(13, self.layer13.forward(x));
-        let x = layer(14, self.upsample.forward(x13.clone()));
-        let x = layer(15, Tensor::cat(vec![x, x4], 1));
-        let x16 = layer(16, self.layer16.forward(x));
+        // Layers 11, 12, 14, 15, 18 and 21 double and join, which the layer behind them does while
+        // it reads. Top-down the doubled tensor comes first.
+        let x12 = vec![x10.clone(), x6];
+        let x13 = layer(13, self.layer13.forward_joined(x12.clone()));
+        let x15 = vec![x13.clone(), x4];
+        let x16 = layer(16, self.layer16.forward_joined(x15.clone()));
         // Bottom-up.
-        let x = layer(17, self.layer17.forward(x16.clone()));
-        let x = layer(18, Tensor::cat(vec![x, x13], 1));
-        let x19 = layer(19, self.layer19.forward(x));
-        let x = layer(20, self.layer20.forward(x19.clone()));
-        let x = layer(21, Tensor::cat(vec![x, x10], 1));
-        let x22 = layer(22, self.layer22.forward(x));
+        let x17 = layer(17, self.layer17.forward(x16.clone()));
+        let x18 = vec![x17, x13.clone()];
+        let x19 = layer(19, self.layer19.forward_joined(x18.clone()));
+        let x20 = layer(20, self.layer20.forward(x19.clone()));
+        let x21 = vec![x20, x10.clone()];
+        let x22 = layer(22, self.layer22.forward_joined(x21.clone()));
+        if let Some(observe) = &mut observe {
+            for (index, input) in [(11, x10), (14, x13)] {
+                observe(index, &kernels::planes(kernels::double(input)));
+            }
+            for (index, inputs) in [(12, x12), (15, x15), (18, x18), (21, x21)] {
+                observe(index, &kernels::planes(kernels::join(inputs)));
+            }
+        }
         self.layer23.forward([x16, x19, x22])
     }
 
@@ -181,7 +197,6 @@ impl Yolo11 {
             layer20: self.layer20.folded(),
             layer22: self.layer22.folded(),
             layer23: self.layer23.folded(),
-            upsample: self.upsample,
         }
     }
 }

@@ -1,190 +1,263 @@
 //! Depthwise convolution on slices: one small kernel per channel, no sums over channels.
 
+use std::cell::RefCell;
+use std::ops::Range;
+
+use pulp::Simd;
 use rayon::prelude::*;
 
-use super::conv::{Activation, sum};
-use super::shape::{ConvShape, OutputMap, PlaneLayout, Segment};
-use super::simd;
+use super::conv::{Activation, Epilogue, SharedOutput, Windows, part};
+use super::layout::Pixels;
+use super::packed::{Algorithm, pack_weights};
+use super::shape::ConvShape;
+use super::simd::{self, MAX_LANES};
+use super::weight_grad::{by_image, partial_sums};
 
-/// Positions worked on at a time; small enough that sums stay in the first-level cache.
-const RUN: usize = 512;
+/// Values of a band of input rows.
+const BAND_VALUES: usize = 64 * 1024;
 
-/// `y = activation(depthwise_conv(x, w) + b)`; `weight` is `[channels, 1, kernel_h, kernel_w]`.
-pub fn forward(
-    shape: &ConvShape,
-    input: &[f32],
-    weight: &[f32],
-    bias: Option<&[f32]>,
-    activation: Activation,
-) -> Vec<f32> {
-    let layout = PlaneLayout::new(shape);
-    let offsets = offsets(shape, &layout);
-    let (height_out, width_out) = (shape.height_out(), shape.width_out());
-    let map = OutputMap {
-        pitch: layout.pitch,
-        extent: [height_out, width_out],
-        origin: [0, 0],
-        step: 1,
-        image: [height_out, width_out],
-    };
+thread_local! {
+    static BAND: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
+}
+
+/// `y = activation(depthwise_conv(x, w) + b) + residual`, `[batch, height_out, width_out,
+/// channels]`; `weights` are packed: a row of channels for every tap.
+pub fn forward(shape: &ConvShape, input: Pixels, weights: &[f32], epilogue: &Epilogue) -> Vec<f32> {
+    let [rows, columns] = [shape.height_out(), shape.width_out()];
     let mut output = vec![0.0; shape.batch * shape.output_len()];
-    output
-        .par_chunks_exact_mut(height_out * width_out)
-        .zip(input.par_chunks_exact(shape.height_in * shape.width_in))
-        .enumerate()
-        .for_each_init(Vec::new, |planes, (index, (out, plane))| {
-            let channel = index % shape.channels_out;
-            layout.fill(plane, 1, planes);
-            let weight = &weight[channel * offsets.len()..][..offsets.len()];
-            let bias = bias.map_or(0.0, |bias| bias[channel]);
-            simd::vectorized(|| taps(planes, &offsets, weight, bias, activation, &map, out));
+    let shared = SharedOutput::new(&mut output);
+    let pitch = (columns - 1) * shape.stride + shape.kernel[1];
+    let per_band = (BAND_VALUES / (pitch * shape.channels_in * shape.stride)).clamp(1, rows);
+    let bands = rows.div_ceil(per_band);
+    (0..shape.batch * bands).into_par_iter().for_each(|task| {
+        let (image, rows) = (task / bands, part(rows, task % bands, bands));
+        let mut band = BAND.take();
+        copy_band(shape, &input, image, &rows, &mut band);
+        let row_values = columns * shape.channels_out;
+        // SAFETY: the bands are disjoint ranges of the output's rows.
+        let output = unsafe {
+            let start = (image * shape.height_out() + rows.start) * row_values;
+            std::slice::from_raw_parts_mut(shared.get().add(start), rows.len() * row_values)
+        };
+        pulp::Arch::new().dispatch(Forward {
+            shape,
+            band: &band,
+            weights,
+            epilogue,
+            image,
+            first_row: rows.start,
+            output,
         });
+        BAND.set(band);
+    });
     output
 }
 
-/// Gradient of the input.
-pub fn backward_input(shape: &ConvShape, grad: &[f32], weight: &[f32]) -> Vec<f32> {
-    let [kernel_h, kernel_w] = shape.kernel;
-    let (height_out, width_out) = (shape.height_out(), shape.width_out());
-    // Seen from the gradient: a convolution with the mirrored kernel over the gradient spread out
-    // by the stride.
-    let spread = [
-        (height_out - 1) * shape.stride + 1,
-        (width_out - 1) * shape.stride + 1,
-    ];
-    let mirrored = ConvShape {
-        height_in: spread[0],
-        width_in: spread[1],
-        stride: 1,
-        padding: kernel_h.max(kernel_w) - 1,
-        ..*shape
-    };
-    let layout = PlaneLayout::new(&mirrored);
-    let reach = mirrored.padding;
-    let mut offsets = Vec::new();
-    for ky in 0..kernel_h {
-        for kx in 0..kernel_w {
-            offsets.push(layout.offset(0, reach - ky, reach - kx));
+/// The input pixels that some output rows see.
+fn copy_band(
+    shape: &ConvShape,
+    input: &Pixels,
+    image: usize,
+    rows: &Range<usize>,
+    band: &mut Vec<f32>,
+) {
+    let windows = Windows::forward(shape);
+    let pitch = (windows.positions[1] - 1) * shape.stride + shape.kernel[1];
+    let height = (rows.len() - 1) * shape.stride + shape.kernel[0];
+    band.resize(height * pitch * shape.channels_in, 0.0);
+    let top = windows.corner[0] + (rows.start * shape.stride) as isize;
+    input.copy_window(image, [top, windows.corner[1]], [height, pitch], band);
+}
+
+struct Forward<'a> {
+    shape: &'a ConvShape,
+    band: &'a [f32],
+    weights: &'a [f32],
+    epilogue: &'a Epilogue<'a>,
+    image: usize,
+    first_row: usize,
+    output: &'a mut [f32],
+}
+
+impl pulp::WithSimd for Forward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let ConvShape {
+            channels_out: channels,
+            kernel: [kernel_h, kernel_w],
+            stride,
+            ..
+        } = *self.shape;
+        let columns = self.shape.width_out();
+        let pitch = (columns - 1) * stride + kernel_w;
+        let width = channels.next_multiple_of(MAX_LANES);
+        let zero = simd.splat_f32s(0.0);
+        for (index, pixel) in self.output.chunks_exact_mut(channels).enumerate() {
+            let (row, column) = (index / columns, index % columns);
+            for (vector, target) in pixel.chunks_mut(S::F32_LANES).enumerate() {
+                let first = vector * S::F32_LANES;
+                let count = target.len();
+                let mut x = match self.epilogue.bias {
+                    Some(bias) => simd::load(simd, &bias[first..first + count]),
+                    None => zero,
+                };
+                for ky in 0..kernel_h {
+                    for kx in 0..kernel_w {
+                        let source = (row * stride + ky) * pitch + column * stride + kx;
+                        let values = &self.band[source * channels + first..][..count];
+                        let weights = &self.weights[(ky * kernel_w + kx) * width + first..];
+                        x = simd.mul_add_f32s(
+                            simd::load(simd, values),
+                            simd::load(simd, &weights[..count]),
+                            x,
+                        );
+                    }
+                }
+                match self.epilogue.activation {
+                    Activation::None => {}
+                    Activation::Relu => x = simd.max_f32s(x, zero),
+                    Activation::Silu => x = simd.mul_f32s(x, simd::sigmoid_vector(simd, x)),
+                }
+                if let Some(residual) = &self.epilogue.residual {
+                    let pixel = residual.pixel(self.image, self.first_row + row, column);
+                    let values = simd::load(simd, &pixel[first..first + count]);
+                    x = simd.add_f32s(x, values);
+                }
+                simd::store(simd, target, x);
+            }
         }
     }
-    let map = OutputMap {
-        pitch: layout.pitch,
-        extent: [
-            (shape.height_in + shape.padding).min(spread[0] + kernel_h - 1),
-            (shape.width_in + shape.padding).min(spread[1] + kernel_w - 1),
-        ],
-        origin: [-(shape.padding as isize); 2],
-        step: 1,
-        image: [shape.height_in, shape.width_in],
-    };
-    let mut output = vec![0.0; shape.batch * shape.input_len()];
-    output
-        .par_chunks_exact_mut(shape.height_in * shape.width_in)
-        .zip(grad.par_chunks_exact(height_out * width_out))
-        .enumerate()
-        .for_each_init(
-            || (Vec::new(), vec![0.0; spread[0] * spread[1]]),
-            |(planes, spread_grad), (index, (out, plane))| {
-                let channel = index % shape.channels_out;
-                if shape.stride == 1 {
-                    layout.fill(plane, 1, planes);
-                } else {
-                    for (y, row) in plane.chunks_exact(width_out).enumerate() {
-                        for (x, value) in row.iter().enumerate() {
-                            spread_grad[y * shape.stride * spread[1] + x * shape.stride] = *value;
-                        }
-                    }
-                    layout.fill(spread_grad, 1, planes);
+}
+
+/// Gradient of the input; `weight` is `[channels, 1, kernel_h, kernel_w]`.
+pub fn backward_input(shape: &ConvShape, grad: Pixels, weight: &[f32]) -> Vec<f32> {
+    let [kernel_h, kernel_w] = shape.kernel;
+    let channels = shape.channels_out;
+    // The gradient spread out by the stride, with a margin, so that every pixel's window of the
+    // mirrored kernel lies inside.
+    let size = [
+        shape.height_in + kernel_h - 1,
+        shape.width_in + kernel_w - 1,
+    ];
+    let mut spread = vec![0.0; shape.batch * size[0] * size[1] * channels];
+    for image in 0..shape.batch {
+        for y in 0..grad.height {
+            // Output (y, x) lies at input pixel `stride * y - padding` of the kernel's first tap.
+            let row = y * shape.stride + kernel_h - 1;
+            for x in 0..grad.width {
+                let column = x * shape.stride + kernel_w - 1;
+                let at = [row, column].map(|at| at.checked_sub(shape.padding));
+                let [Some(row), Some(column)] = at else {
+                    continue;
+                };
+                if row < size[0] && column < size[1] {
+                    let start = ((image * size[0] + row) * size[1] + column) * channels;
+                    spread[start..start + channels].copy_from_slice(grad.pixel(image, y, x));
                 }
-                let weight = &weight[channel * offsets.len()..][..offsets.len()];
-                simd::vectorized(|| {
-                    taps(planes, &offsets, weight, 0.0, Activation::None, &map, out);
-                });
-            },
-        );
-    output
+            }
+        }
+    }
+    let mirrored = ConvShape {
+        height_in: size[0],
+        width_in: size[1],
+        stride: 1,
+        padding: 0,
+        ..*shape
+    };
+    let taps = kernel_h * kernel_w;
+    let flipped: Vec<f32> = weight
+        .chunks_exact(taps)
+        .flat_map(|kernel| kernel.iter().rev().copied())
+        .collect();
+    let packed = pack_weights(&mirrored, Algorithm::Depthwise, &flipped);
+    let dims = [shape.batch, size[0], size[1], channels];
+    forward(
+        &mirrored,
+        Pixels::dense(&spread, dims),
+        &packed,
+        &Epilogue::default(),
+    )
 }
 
 /// Gradient of the weights, `[channels, 1, kernel_h, kernel_w]`.
-pub fn backward_weight(shape: &ConvShape, input: &[f32], grad: &[f32]) -> Vec<f32> {
-    let layout = PlaneLayout::new(shape);
-    let offsets = offsets(shape, &layout);
-    let (height_out, width_out) = (shape.height_out(), shape.width_out());
-    let (area_in, area_out) = (shape.height_in * shape.width_in, height_out * width_out);
-    let mut gradient = vec![0.0; shape.channels_out * offsets.len()];
-    gradient
-        .par_chunks_exact_mut(offsets.len())
-        .enumerate()
-        .for_each_init(Vec::new, |planes, (channel, sums)| {
-            let mut products = vec![0.0; width_out];
-            for image in 0..shape.batch {
-                let plane = image * shape.channels_out + channel;
-                layout.fill(&input[plane * area_in..][..area_in], 1, planes);
-                let grad = &grad[plane * area_out..][..area_out];
-                simd::vectorized(|| {
-                    for (total, &offset) in sums.iter_mut().zip(&offsets) {
-                        products.fill(0.0);
-                        for (y, row) in grad.chunks_exact(width_out).enumerate() {
-                            let values = &planes[offset + y * layout.pitch..][..width_out];
-                            for ((product, value), grad) in products.iter_mut().zip(values).zip(row)
-                            {
-                                *product += value * grad;
-                            }
-                        }
-                        *total += sum(&products);
-                    }
+pub fn backward_weight(shape: &ConvShape, input: Pixels, grad: Pixels) -> Vec<f32> {
+    let taps = shape.kernel[0] * shape.kernel[1];
+    let channels = shape.channels_out;
+    let rows = shape.height_out();
+    let partial = partial_sums(shape.batch * rows, |rows_of_all| {
+        let mut sums = vec![0.0; taps * channels];
+        let mut band = BAND.take();
+        for (image, rows) in by_image(rows_of_all, rows) {
+            for row in rows {
+                copy_band(shape, &input, image, &(row..row + 1), &mut band);
+                pulp::Arch::new().dispatch(WeightGrad {
+                    shape,
+                    band: &band,
+                    grad: &grad,
+                    image,
+                    row,
+                    sums: &mut sums,
                 });
             }
-        });
+        }
+        BAND.set(band);
+        sums
+    });
+    let mut gradient = vec![0.0; channels * taps];
+    for (index, value) in gradient.iter_mut().enumerate() {
+        let start = index % taps * channels + index / taps;
+        *value = partial.iter().map(|sums| sums[start]).sum();
+    }
     gradient
 }
 
-fn offsets(shape: &ConvShape, layout: &PlaneLayout) -> Vec<usize> {
-    let [kernel_h, kernel_w] = shape.kernel;
-    (0..kernel_h * kernel_w)
-        .map(|tap| layout.offset(0, tap / kernel_w, tap % kernel_w))
-        .collect()
+/// One output row's share of the weights' gradient, `sums[tap][channel]`.
+struct WeightGrad<'a> {
+    shape: &'a ConvShape,
+    band: &'a [f32],
+    grad: &'a Pixels<'a>,
+    image: usize,
+    row: usize,
+    sums: &'a mut [f32],
 }
 
-/// Weighted sum of shifted planes for every position of one channel.
-#[inline(always)]
-fn taps(
-    planes: &[f32],
-    offsets: &[usize],
-    weight: &[f32],
-    bias: f32,
-    activation: Activation,
-    map: &OutputMap,
-    out: &mut [f32],
-) {
-    let mut sums = [0.0_f32; RUN];
-    let mut segments = [Segment::default(); RUN];
-    let total = map.positions();
-    let mut start = 0;
-    while start < total {
-        let len = RUN.min(total - start);
-        let sums = &mut sums[..len];
-        sums.fill(bias);
-        for (&offset, &weight) in offsets.iter().zip(weight) {
-            let values = &planes[offset + start..offset + start + len];
-            for (sum, value) in sums.iter_mut().zip(values) {
-                *sum += weight * value;
+impl pulp::WithSimd for WeightGrad<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let ConvShape {
+            channels_out: channels,
+            kernel: [kernel_h, kernel_w],
+            stride,
+            ..
+        } = *self.shape;
+        let columns = self.grad.width;
+        let pitch = (columns - 1) * stride + kernel_w;
+        for first in (0..channels).step_by(S::F32_LANES) {
+            let count = S::F32_LANES.min(channels - first);
+            for ky in 0..kernel_h {
+                for kx in 0..kernel_w {
+                    let mut sum = simd.splat_f32s(0.0);
+                    for column in 0..columns {
+                        let source = ky * pitch + column * stride + kx;
+                        let values = &self.band[source * channels + first..][..count];
+                        let start = self.grad.offset(self.image, self.row, column) + first;
+                        let grads = &self.grad.data[start..start + count];
+                        sum = simd.mul_add_f32s(
+                            simd::load(simd, values),
+                            simd::load(simd, grads),
+                            sum,
+                        );
+                    }
+                    let tap = ky * kernel_w + kx;
+                    let sums = &mut self.sums[tap * channels + first..][..count];
+                    let sum = simd.add_f32s(simd::load(simd, sums), sum);
+                    simd::store(simd, sums, sum);
+                }
             }
         }
-        if activation == Activation::Silu {
-            for x in sums.iter_mut() {
-                *x *= simd::sigmoid(*x);
-            }
-        } else if activation == Activation::Relu {
-            for x in sums.iter_mut() {
-                *x = x.max(0.0);
-            }
-        }
-        let count = map.segments(start, len, &mut segments);
-        for segment in &segments[..count] {
-            out[segment.target..segment.target + segment.len]
-                .copy_from_slice(&sums[segment.source..segment.source + segment.len]);
-        }
-        start += len;
     }
 }

@@ -5,9 +5,9 @@
     reason = "ndarray stays selectable for as long as Burn ships it"
 )]
 
-use burn::backend::ops::ConvOptions;
+use burn::backend::ops::{ConvOptions, InterpolateMode, InterpolateOptions};
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, TensorMetadata, backend_extension};
+use burn::backend::{Backend, ExtensionType, TensorMetadata, backend_extension};
 use burn::tensor::{IntDType, Shape, Slice};
 
 use super::conv::Activation;
@@ -31,7 +31,92 @@ impl ConvGeometry {
     }
 }
 
+/// Extent of a convolution's weights.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ConvExtent {
+    /// Output channels.
+    pub channels_out: usize,
+    /// Input channels that an output channel sees.
+    pub channels_in: usize,
+    /// Kernel height and width.
+    pub kernel: [usize; 2],
+}
+
+impl ConvExtent {
+    /// The extent of weights `[channels_out, channels_in, kernel_h, kernel_w]`.
+    pub fn of([channels_out, channels_in, kernel_h, kernel_w]: [usize; 4]) -> Self {
+        Self {
+            channels_out,
+            channels_in,
+            kernel: [kernel_h, kernel_w],
+        }
+    }
+
+    pub(super) fn dims(self) -> [usize; 4] {
+        let [kernel_h, kernel_w] = self.kernel;
+        [self.channels_out, self.channels_in, kernel_h, kernel_w]
+    }
+}
+
+/// Inputs of a convolution, their channels one behind the other.
+#[derive(ExtensionType)]
+pub enum ConvInputs<B: Backend> {
+    /// The whole input.
+    One(FloatTensor<B>),
+    /// In two parts.
+    Two(FloatTensor<B>, FloatTensor<B>),
+    /// In three parts.
+    Three(FloatTensor<B>, FloatTensor<B>, FloatTensor<B>),
+    /// In four parts.
+    Four(
+        FloatTensor<B>,
+        FloatTensor<B>,
+        FloatTensor<B>,
+        FloatTensor<B>,
+    ),
+}
+
+impl<B: Backend> ConvInputs<B> {
+    /// Most parts.
+    pub const MOST: usize = 4;
+
+    /// All parts; None where there are none or too many.
+    pub fn from_parts(parts: Vec<FloatTensor<B>>) -> Option<Self> {
+        let mut parts = parts.into_iter();
+        let first = parts.next()?;
+        match [parts.next(), parts.next(), parts.next(), parts.next()] {
+            [None, ..] => Some(Self::One(first)),
+            [Some(b), None, ..] => Some(Self::Two(first, b)),
+            [Some(b), Some(c), None, _] => Some(Self::Three(first, b, c)),
+            [Some(b), Some(c), Some(d), None] => Some(Self::Four(first, b, c, d)),
+            _ => None,
+        }
+    }
+
+    /// The parts in order.
+    pub fn into_vec(self) -> Vec<FloatTensor<B>> {
+        match self {
+            Self::One(a) => vec![a],
+            Self::Two(a, b) => vec![a, b],
+            Self::Three(a, b, c) => vec![a, b, c],
+            Self::Four(a, b, c, d) => vec![a, b, c, d],
+        }
+    }
+}
+
+/// What is added to a convolution's output.
+#[derive(ExtensionType)]
+pub enum Residual<B: Backend> {
+    /// Nothing.
+    None,
+    /// A tensor of the output's shape.
+    Of(FloatTensor<B>),
+}
+
 /// Operations that a backend may do in one piece; the defaults compose Burn's own.
+///
+/// Images are `[batch, height, width, channels]`, weights `[channels_out, channels_in / groups,
+/// kernel_h, kernel_w]`.
 #[backend_extension(
     Flex: cfg(feature = "flex"),
     NdArray: cfg(feature = "ndarray"),
@@ -45,7 +130,8 @@ pub trait KernelBackend: Backend {
         weight: FloatTensor<Self>,
         geometry: ConvGeometry,
     ) -> FloatTensor<Self> {
-        Self::conv2d(input, weight, None, geometry.options())
+        let output = Self::conv2d(planes::<Self>(input), weight, None, geometry.options());
+        pixels::<Self>(output)
     }
 
     /// Convolution, bias and activation.
@@ -56,8 +142,35 @@ pub trait KernelBackend: Backend {
         geometry: ConvGeometry,
         activation: Activation,
     ) -> FloatTensor<Self> {
+        let input = planes::<Self>(input);
         let output = Self::conv2d(input, weight, Some(bias), geometry.options());
-        activate::<Self>(output, activation)
+        pixels::<Self>(activate::<Self>(output, activation))
+    }
+
+    /// Weights in the form that [`KernelBackend::conv2d_packed`] takes, of one dimension.
+    fn conv2d_pack(weight: FloatTensor<Self>, _geometry: ConvGeometry) -> FloatTensor<Self> {
+        let len = weight.shape().num_elements();
+        Self::float_reshape(weight, Shape::new([len]))
+    }
+
+    /// `activation(conv(inputs) + bias) + residual` with packed weights, for inference. The
+    /// inputs' channels follow one another; inputs of half the first one's size are doubled.
+    fn conv2d_packed(
+        #[extension_type] inputs: ConvInputs<Self>,
+        packed: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        #[extension_type] residual: Residual<Self>,
+        extent: ConvExtent,
+        geometry: ConvGeometry,
+        activation: Activation,
+    ) -> FloatTensor<Self> {
+        let weight = Self::float_reshape(packed, Shape::from(extent.dims()));
+        let input = join::<Self>(inputs.into_vec());
+        let output = Self::conv2d_bias_act(input, weight, bias, geometry, activation);
+        match residual {
+            Residual::Of(residual) => Self::float_add(output, residual),
+            Residual::None => output,
+        }
     }
 
     /// Gradient of a convolution's input.
@@ -67,7 +180,13 @@ pub trait KernelBackend: Backend {
         grad: FloatTensor<Self>,
         geometry: ConvGeometry,
     ) -> FloatTensor<Self> {
-        Self::conv2d_x_backward(input, weight, grad, geometry.options())
+        let (input, grad) = (planes::<Self>(input), planes::<Self>(grad));
+        pixels::<Self>(Self::conv2d_x_backward(
+            input,
+            weight,
+            grad,
+            geometry.options(),
+        ))
     }
 
     /// Gradient of a convolution's weights.
@@ -77,13 +196,14 @@ pub trait KernelBackend: Backend {
         grad: FloatTensor<Self>,
         geometry: ConvGeometry,
     ) -> FloatTensor<Self> {
+        let (input, grad) = (planes::<Self>(input), planes::<Self>(grad));
         Self::conv2d_weight_backward(input, weight, grad, geometry.options())
     }
 
     /// Gradient of a convolution's bias: the sum of the output's gradient over all but channels.
     fn channel_sum(grad: FloatTensor<Self>) -> FloatTensor<Self> {
-        let channels = grad.shape()[1];
-        let sums = Self::float_sum_dim(Self::float_sum_dim(Self::float_sum_dim(grad, 0), 2), 3);
+        let channels = grad.shape()[3];
+        let sums = Self::float_sum_dim(Self::float_sum_dim(Self::float_sum_dim(grad, 0), 1), 2);
         Self::float_reshape(sums, Shape::new([channels]))
     }
 
@@ -95,9 +215,10 @@ pub trait KernelBackend: Backend {
         epsilon: f32,
         activation: Activation,
     ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
+        let input = planes::<Self>(input);
         let norm = Self::batch_norm_train(input, gamma, beta, f64::from(epsilon));
         (
-            activate::<Self>(norm.output, activation),
+            pixels::<Self>(activate::<Self>(norm.output, activation)),
             norm.mean,
             norm.variance,
         )
@@ -119,6 +240,7 @@ pub trait KernelBackend: Backend {
         activation: Activation,
     ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
         let epsilon = f64::from(epsilon);
+        let (input, grad) = (planes::<Self>(input), planes::<Self>(grad));
         let before = Self::batch_norm(
             input.clone(),
             gamma.clone(),
@@ -129,16 +251,20 @@ pub trait KernelBackend: Backend {
         );
         let grad = activate_grad::<Self>(before, grad, activation);
         let grads = Self::batch_norm_train_backward(input, gamma, mean, variance, epsilon, grad);
-        (grads.x_grad, grads.gamma_grad, grads.beta_grad)
+        (
+            pixels::<Self>(grads.x_grad),
+            grads.gamma_grad,
+            grads.beta_grad,
+        )
     }
 
     /// 2x2 pooling and ReLU of both pathways, stacked along the batch.
     fn twin_pool(input: FloatTensor<Self>, kind: TwinInput) -> FloatTensor<Self> {
         let (kernel, stride, padding) = POOL;
-        let (a, b) = pathways::<Self>(input, kind);
+        let (a, b) = pathways::<Self>(planes::<Self>(input), kind);
         let a = Self::max_pool2d(a, kernel, stride, padding, [1, 1], false);
         let b = Self::avg_pool2d(b, kernel, stride, padding, true, false);
-        Self::relu(Self::float_cat(vec![a, b], 0))
+        pixels::<Self>(Self::relu(Self::float_cat(vec![a, b], 0)))
     }
 
     /// Gradient of [`KernelBackend::twin_pool`].
@@ -148,8 +274,8 @@ pub trait KernelBackend: Backend {
         kind: TwinInput,
     ) -> FloatTensor<Self> {
         let (kernel, stride, padding) = POOL;
-        let (a, b) = pathways::<Self>(input, kind);
-        let (grad_a, grad_b) = halves::<Self>(grad);
+        let (a, b) = pathways::<Self>(planes::<Self>(input), kind);
+        let (grad_a, grad_b) = halves::<Self>(planes::<Self>(grad));
         let dilation = [1, 1];
         let pooled = Self::max_pool2d_with_indices(
             a.clone(),
@@ -175,11 +301,66 @@ pub trait KernelBackend: Backend {
         let mean = Self::avg_pool2d(b.clone(), kernel, stride, padding, true, false);
         let grad_b = Self::relu_backward(mean, grad_b);
         let grad_b = Self::avg_pool2d_backward(b, grad_b, kernel, stride, padding, true, false);
-        match kind {
+        pixels::<Self>(match kind {
             TwinInput::Shared => Self::float_add(grad_a, grad_b),
             TwinInput::Stacked => Self::float_cat(vec![grad_a, grad_b], 0),
-        }
+        })
     }
+
+    /// Maximum of the `size x size` pixels around each pixel.
+    fn local_maximum(input: FloatTensor<Self>, size: usize) -> FloatTensor<Self> {
+        let padding = [size / 2; 2];
+        let input = planes::<Self>(input);
+        pixels::<Self>(Self::max_pool2d(
+            input,
+            [size; 2],
+            [1, 1],
+            padding,
+            [1, 1],
+            false,
+        ))
+    }
+
+    /// Every pixel four times: twice the height and width.
+    fn double(input: FloatTensor<Self>) -> FloatTensor<Self> {
+        let [_, height, width, _] = input.shape().dims();
+        let nearest = InterpolateOptions::new(InterpolateMode::Nearest);
+        let input = planes::<Self>(input);
+        pixels::<Self>(Self::interpolate(input, [2 * height, 2 * width], nearest))
+    }
+
+    /// Gradient of [`KernelBackend::double`]: the sum of each 2x2 window.
+    fn double_grad(grad: FloatTensor<Self>) -> FloatTensor<Self> {
+        let (kernel, stride, padding) = POOL;
+        let mean = Self::avg_pool2d(planes::<Self>(grad), kernel, stride, padding, true, false);
+        pixels::<Self>(Self::float_mul_scalar(mean, 4.0.into()))
+    }
+}
+
+/// `[batch, channels, height, width]`, as Burn's operations want it.
+pub(super) fn planes<B: Backend>(pixels: FloatTensor<B>) -> FloatTensor<B> {
+    B::float_permute(pixels, &[0, 3, 1, 2])
+}
+
+/// `[batch, height, width, channels]`, as the kernels want it.
+pub(super) fn pixels<B: Backend>(planes: FloatTensor<B>) -> FloatTensor<B> {
+    B::float_permute(planes, &[0, 2, 3, 1])
+}
+
+/// All channels of several inputs, those of half the first one's size doubled.
+fn join<B: KernelBackend>(inputs: Vec<FloatTensor<B>>) -> FloatTensor<B> {
+    let height = inputs.iter().map(|input| input.shape()[1]).max();
+    let inputs: Vec<_> = inputs
+        .into_iter()
+        .map(|input| {
+            if Some(input.shape()[1]) == height {
+                input
+            } else {
+                B::double(input)
+            }
+        })
+        .collect();
+    B::float_cat(inputs, 3)
 }
 
 /// Settings of every pooling in the ranging network, as Burn's operations take them.

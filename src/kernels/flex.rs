@@ -1,40 +1,49 @@
 //! Kernels of our own on Flex, for 32-bit floats; anything else is composed.
 
-use burn::backend::ops::ModuleOps;
+use burn::backend::ops::{FloatTensorOps, ModuleOps};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Flex, TensorMetadata};
 use burn::tensor::{DType, TensorData};
 
-use super::conv::{self, Activation};
+use super::conv::{self, Activation, Epilogue, Source};
 use super::depthwise;
-use super::extension::{ConvGeometry, KernelBackend, activate};
-use super::norm::{self, BatchStatistics, NormShape};
-use super::pool::{self, TwinInput, TwinShape};
+use super::extension::{
+    ConvExtent, ConvGeometry, ConvInputs, KernelBackend, Residual, activate, pixels, planes,
+};
+use super::layout::{self, Pixels};
+use super::norm::{self, BatchStatistics};
+use super::packed::{self, Algorithm};
+use super::pool::{self, TwinInput};
 use super::shape::ConvShape;
 use super::weight_grad;
 
 type Tensor = FloatTensor<Flex>;
 
-/// The shape, where our kernels cover it.
-fn covered(input: &Tensor, weight: &Tensor, geometry: ConvGeometry) -> Option<ConvShape> {
-    if input.dtype() != DType::F32 || weight.dtype() != DType::F32 {
-        return None;
-    }
-    let [batch, channels_in, height_in, width_in] = input.shape().dims();
-    let [channels_out, per_group, kernel_h, kernel_w] = weight.shape().dims();
+/// The shape of a convolution, where our kernels cover it.
+fn covered(
+    input: [usize; 4],
+    extent: ConvExtent,
+    geometry: ConvGeometry,
+    tensors: &[&Tensor],
+) -> Option<ConvShape> {
+    let [batch, height_in, width_in, channels_in] = input;
     let depthwise = geometry.groups > 1;
-    if depthwise && (per_group != 1 || channels_in != channels_out) {
+    if tensors.iter().any(|tensor| tensor.dtype() != DType::F32)
+        || depthwise && (extent.channels_in != 1 || channels_in != extent.channels_out)
+        || extent.kernel[0] > conv::MAX_KERNEL
+    {
         return None;
     }
     Some(ConvShape {
         batch,
         channels_in,
-        channels_out,
+        channels_out: extent.channels_out,
         height_in,
         width_in,
-        kernel: [kernel_h, kernel_w],
+        kernel: extent.kernel,
         stride: geometry.stride,
         padding: geometry.padding,
+        depthwise,
     })
 }
 
@@ -48,6 +57,64 @@ fn with_values<R>(tensor: &Tensor, work: impl FnOnce(&[f32]) -> R) -> R {
     work(&tensor.storage::<f32>()[..len])
 }
 
+/// The tensor's pixels where they lie, if the channels of each lie side by side.
+fn view(tensor: &Tensor) -> Option<Pixels<'_>> {
+    let [images, height, width, channels] = tensor.shape().dims();
+    let layout = tensor.layout();
+    let strides: Vec<usize> = layout
+        .strides()
+        .iter()
+        .map(|&stride| usize::try_from(stride).ok())
+        .collect::<Option<_>>()?;
+    let &[image_stride, row_stride, pixel_stride, channel_stride] = &strides[..] else {
+        return None;
+    };
+    // The stride along an axis of one element means nothing.
+    let pixel_stride = match (width, height) {
+        (1, 1) => channels,
+        (1, _) => row_stride,
+        _ => pixel_stride,
+    };
+    let regular = (channels == 1 || channel_stride == 1)
+        && pixel_stride >= channels
+        && (height == 1 || row_stride == width * pixel_stride);
+    regular.then(|| Pixels {
+        data: &tensor.storage::<f32>()[layout.start_offset()..],
+        images,
+        height,
+        width,
+        channels,
+        pixel_stride,
+        image_stride,
+    })
+}
+
+/// Runs `work` on the tensor's pixels, rearranged where they do not lie side by side.
+fn with_pixels<R>(tensor: &Tensor, work: impl FnOnce(Pixels) -> R) -> R {
+    if let Some(pixels) = view(tensor) {
+        return work(pixels);
+    }
+    let dims: [usize; 4] = tensor.shape().dims();
+    let [images, height, width, channels] = dims;
+    let planes = planes::<Flex>(tensor.clone());
+    let values = with_values(&planes, |values| {
+        layout::interleave(values, [images, channels, height * width])
+    });
+    work(Pixels::dense(&values, dims))
+}
+
+/// The tensor itself if its pixels can be read where they lie, or else a rearranged copy.
+fn readable(tensor: Tensor) -> Tensor {
+    if view(&tensor).is_some() {
+        return tensor;
+    }
+    let dims: [usize; 4] = tensor.shape().dims();
+    let values = with_pixels(&tensor, |pixels| {
+        pixels.data[..dims.iter().product()].to_vec()
+    });
+    self::tensor(values, dims)
+}
+
 fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Tensor {
     Tensor::from_data(TensorData::new(values, shape))
 }
@@ -55,41 +122,51 @@ fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Tensor {
 fn output_shape(shape: &ConvShape) -> [usize; 4] {
     [
         shape.batch,
-        shape.channels_out,
         shape.height_out(),
         shape.width_out(),
+        shape.channels_out,
     ]
 }
 
+fn extent(weight: &Tensor) -> ConvExtent {
+    ConvExtent::of(weight.shape().dims())
+}
+
+/// Packs the weights and convolves.
 fn forward(
     shape: &ConvShape,
-    geometry: ConvGeometry,
     input: &Tensor,
     weight: &Tensor,
     bias: Option<&Tensor>,
     activation: Activation,
 ) -> Tensor {
-    let run = if geometry.groups > 1 {
-        depthwise::forward
-    } else {
-        conv::forward
+    let algorithm = Algorithm::for_images(shape);
+    let packed = with_values(weight, |weight| {
+        packed::pack_weights(shape, algorithm, weight)
+    });
+    let bias = bias.map(|bias| with_values(bias, <[f32]>::to_vec));
+    let epilogue = Epilogue {
+        bias: bias.as_deref(),
+        activation,
+        residual: None,
     };
-    let values = with_values(input, |input| {
-        with_values(weight, |weight| match bias {
-            None => run(shape, input, weight, None, activation),
-            Some(bias) => with_values(bias, |bias| {
-                run(shape, input, weight, Some(bias), activation)
-            }),
-        })
+    let values = with_pixels(input, |input| {
+        conv::forward(shape, algorithm, &[input.into()], &packed, &epilogue)
     });
     tensor(values, output_shape(shape))
 }
 
 impl KernelBackend for Flex {
     fn conv2d_plain(input: Tensor, weight: Tensor, geometry: ConvGeometry) -> Tensor {
-        match covered(&input, &weight, geometry) {
-            Some(shape) => forward(&shape, geometry, &input, &weight, None, Activation::None),
-            None => Self::conv2d(input, weight, None, geometry.options()),
+        let tensors = [&input, &weight];
+        match covered(input.shape().dims(), extent(&weight), geometry, &tensors) {
+            Some(shape) => forward(&shape, &input, &weight, None, Activation::None),
+            None => pixels::<Self>(Self::conv2d(
+                planes::<Self>(input),
+                weight,
+                None,
+                geometry.options(),
+            )),
         }
     }
 
@@ -100,13 +177,89 @@ impl KernelBackend for Flex {
         geometry: ConvGeometry,
         activation: Activation,
     ) -> Tensor {
-        match covered(&input, &weight, geometry) {
-            Some(shape) => forward(&shape, geometry, &input, &weight, Some(&bias), activation),
-            None => activate::<Self>(
-                Self::conv2d(input, weight, Some(bias), geometry.options()),
+        let tensors = [&input, &weight, &bias];
+        match covered(input.shape().dims(), extent(&weight), geometry, &tensors) {
+            Some(shape) => forward(&shape, &input, &weight, Some(&bias), activation),
+            None => pixels::<Self>(activate::<Self>(
+                Self::conv2d(
+                    planes::<Self>(input),
+                    weight,
+                    Some(bias),
+                    geometry.options(),
+                ),
                 activation,
-            ),
+            )),
         }
+    }
+
+    fn conv2d_pack(weight: Tensor, geometry: ConvGeometry) -> Tensor {
+        let extent = extent(&weight);
+        // The size of the images plays no part in how weights are packed.
+        let channels_in = extent.channels_in * geometry.groups;
+        let input = [1, extent.kernel[0], extent.kernel[1], channels_in];
+        let Some(shape) = covered(input, extent, geometry, &[&weight]) else {
+            let len = weight.shape().num_elements();
+            return Self::float_reshape(weight, [len].into());
+        };
+        let packed = with_values(&weight, |weight| {
+            packed::pack_weights(&shape, Algorithm::of(&shape), weight)
+        });
+        let len = packed.len();
+        tensor(packed, [len])
+    }
+
+    fn conv2d_packed(
+        inputs: ConvInputs<Self>,
+        packed: Tensor,
+        bias: Tensor,
+        residual: Residual<Self>,
+        extent: ConvExtent,
+        geometry: ConvGeometry,
+        activation: Activation,
+    ) -> Tensor {
+        let inputs: Vec<Tensor> = inputs.into_vec().into_iter().map(readable).collect();
+        let residual = match residual {
+            Residual::Of(residual) => Some(readable(residual)),
+            Residual::None => None,
+        };
+        let sources: Vec<Pixels> = inputs.iter().filter_map(view).collect();
+        let height = sources
+            .iter()
+            .map(|source| source.height)
+            .max()
+            .unwrap_or(0);
+        let width = sources.iter().map(|source| source.width).max().unwrap_or(0);
+        let sources: Vec<Source> = sources
+            .into_iter()
+            .map(|pixels| Source {
+                pixels,
+                doubled: pixels.height != height,
+            })
+            .collect();
+        let channels = sources.iter().map(|source| source.pixels.channels).sum();
+        let batch = sources.first().map_or(0, |source| source.pixels.images);
+        let dims = [batch, height, width, channels];
+        let Some(shape) = covered(dims, extent, geometry, &[&packed, &bias]) else {
+            // Weights were left as they are.
+            let weight = Self::float_reshape(packed, extent.dims().into());
+            let joined = tensor(conv::join(&sources, height, width), dims);
+            let output = Self::conv2d_bias_act(joined, weight, bias, geometry, activation);
+            return match residual {
+                Some(residual) => Self::float_add(output, residual),
+                None => output,
+            };
+        };
+        let values = with_values(&bias, |bias| {
+            with_values(&packed, |packed| {
+                let epilogue = Epilogue {
+                    bias: Some(bias),
+                    activation,
+                    residual: residual.as_ref().and_then(view),
+                };
+                conv::forward(&shape, Algorithm::of(&shape), &sources, packed, &epilogue)
+            })
+        });
+        tensor(values, output_shape(&shape))
     }
 
     fn conv2d_input_grad(
@@ -115,26 +268,26 @@ impl KernelBackend for Flex {
         grad: Tensor,
         geometry: ConvGeometry,
     ) -> Tensor {
-        let Some(shape) = covered(&input, &weight, geometry) else {
-            return Self::conv2d_x_backward(input, weight, grad, geometry.options());
+        let dims: [usize; 4] = input.shape().dims();
+        let tensors = [&input, &weight, &grad];
+        let Some(shape) = covered(dims, extent(&weight), geometry, &tensors) else {
+            let (input, grad) = (planes::<Self>(input), planes::<Self>(grad));
+            return pixels::<Self>(Self::conv2d_x_backward(
+                input,
+                weight,
+                grad,
+                geometry.options(),
+            ));
         };
-        let run = if geometry.groups > 1 {
+        let run = if shape.depthwise {
             depthwise::backward_input
         } else {
             conv::backward_input
         };
-        let values = with_values(&grad, |grad| {
+        let values = with_pixels(&grad, |grad| {
             with_values(&weight, |weight| run(&shape, grad, weight))
         });
-        tensor(
-            values,
-            [
-                shape.batch,
-                shape.channels_in,
-                shape.height_in,
-                shape.width_in,
-            ],
-        )
+        tensor(values, dims)
     }
 
     fn conv2d_weight_grad(
@@ -143,25 +296,25 @@ impl KernelBackend for Flex {
         grad: Tensor,
         geometry: ConvGeometry,
     ) -> Tensor {
-        let Some(shape) = covered(&input, &weight, geometry) else {
+        let tensors = [&input, &weight, &grad];
+        let Some(shape) = covered(input.shape().dims(), extent(&weight), geometry, &tensors) else {
+            let (input, grad) = (planes::<Self>(input), planes::<Self>(grad));
             return Self::conv2d_weight_backward(input, weight, grad, geometry.options());
         };
-        let run = if geometry.groups > 1 {
+        let run = if shape.depthwise {
             depthwise::backward_weight
         } else {
             weight_grad::backward_weight
         };
-        let values = with_values(&input, |input| {
-            with_values(&grad, |grad| run(&shape, input, grad))
+        let values = with_pixels(&input, |input| {
+            with_pixels(&grad, |grad| run(&shape, input, grad))
         });
         tensor(values, weight.shape().dims::<4>())
     }
 
     fn channel_sum(grad: Tensor) -> Tensor {
-        let [_, channels, height, width] = grad.shape().dims();
-        let sums = with_values(&grad, |grad| {
-            norm::channel_sums(channels, height * width, grad)
-        });
+        let [_, _, _, channels] = grad.shape().dims();
+        let sums = with_values(&grad, |grad| norm::channel_sums(channels, grad));
         tensor(sums, [channels])
     }
 
@@ -173,23 +326,20 @@ impl KernelBackend for Flex {
         activation: Activation,
     ) -> (Tensor, Tensor, Tensor) {
         let dims: [usize; 4] = input.shape().dims();
-        let shape = NormShape {
-            channels: dims[1],
-            area: dims[2] * dims[3],
-        };
+        let channels = dims[3];
         let (output, statistics) = with_values(&input, |input| {
-            let statistics = norm::statistics(shape, input);
+            let statistics = norm::statistics(channels, input);
             let output = with_values(&gamma, |gamma| {
                 with_values(&beta, |beta| {
-                    norm::forward(shape, input, gamma, beta, &statistics, epsilon, activation)
+                    norm::forward(input, gamma, beta, &statistics, epsilon, activation)
                 })
             });
             (output, statistics)
         });
         (
             tensor(output, dims),
-            tensor(statistics.mean, [shape.channels]),
-            tensor(statistics.variance, [shape.channels]),
+            tensor(statistics.mean, [channels]),
+            tensor(statistics.variance, [channels]),
         )
     }
 
@@ -204,10 +354,6 @@ impl KernelBackend for Flex {
         activation: Activation,
     ) -> (Tensor, Tensor, Tensor) {
         let dims: [usize; 4] = input.shape().dims();
-        let shape = NormShape {
-            channels: dims[1],
-            area: dims[2] * dims[3],
-        };
         let statistics = BatchStatistics {
             mean: with_values(&mean, <[f32]>::to_vec),
             variance: with_values(&variance, <[f32]>::to_vec),
@@ -215,53 +361,56 @@ impl KernelBackend for Flex {
         let [gamma, beta] = [gamma, beta].map(|values| with_values(&values, <[f32]>::to_vec));
         let grads = with_values(&input, |input| {
             with_values(&grad, |grad| {
-                norm::backward(
-                    shape,
-                    input,
-                    &gamma,
-                    &beta,
-                    &statistics,
-                    epsilon,
-                    activation,
-                    grad,
-                )
+                norm::backward(input, &gamma, &beta, &statistics, epsilon, activation, grad)
             })
         });
+        let channels = [dims[3]];
         (
             tensor(grads.input, dims),
-            tensor(grads.gamma, [shape.channels]),
-            tensor(grads.beta, [shape.channels]),
+            tensor(grads.gamma, channels),
+            tensor(grads.beta, channels),
         )
     }
 
     fn twin_pool(input: Tensor, kind: TwinInput) -> Tensor {
-        let [batch, channels, height, width] = input.shape().dims();
-        let shape = TwinShape {
-            planes: batch * channels,
-            size: [height, width],
-            input: kind,
+        let [batch, height, width, channels] = input.shape().dims();
+        let images = match kind {
+            TwinInput::Shared => 2 * batch,
+            TwinInput::Stacked => batch,
         };
-        let batch_out = if kind == TwinInput::Shared {
-            2 * batch
-        } else {
-            batch
-        };
-        let [rows, columns] = shape.pooled();
-        let values = with_values(&input, |input| pool::forward(&shape, input));
-        tensor(values, [batch_out, channels, rows, columns])
+        let values = with_pixels(&input, |input| pool::forward(input, kind));
+        tensor(values, [images, height / 2, width / 2, channels])
     }
 
     fn twin_pool_grad(input: Tensor, grad: Tensor, kind: TwinInput) -> Tensor {
         let dims: [usize; 4] = input.shape().dims();
-        let [batch, channels, height, width] = dims;
-        let shape = TwinShape {
-            planes: batch * channels,
-            size: [height, width],
-            input: kind,
-        };
-        let values = with_values(&input, |input| {
-            with_values(&grad, |grad| pool::backward(&shape, input, grad))
+        let values = with_pixels(&input, |input| {
+            with_pixels(&grad, |grad| pool::backward(input, grad, kind))
         });
         tensor(values, dims)
+    }
+
+    fn local_maximum(input: Tensor, size: usize) -> Tensor {
+        let dims: [usize; 4] = input.shape().dims();
+        let values = with_pixels(&input, |input| pool::local_maximum(input, size));
+        tensor(values, dims)
+    }
+
+    fn double(input: Tensor) -> Tensor {
+        let [batch, height, width, channels] = input.shape().dims();
+        let values = with_pixels(&input, |pixels| {
+            let source = Source {
+                pixels,
+                doubled: true,
+            };
+            conv::join(&[source], 2 * height, 2 * width)
+        });
+        tensor(values, [batch, 2 * height, 2 * width, channels])
+    }
+
+    fn double_grad(grad: Tensor) -> Tensor {
+        let [batch, height, width, channels] = grad.shape().dims();
+        let values = with_pixels(&grad, pool::window_sums);
+        tensor(values, [batch, height / 2, width / 2, channels])
     }
 }

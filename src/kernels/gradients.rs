@@ -197,6 +197,36 @@ impl<B: KernelBackend, C: CheckpointStrategy> KernelBackend for Autodiff<B, C> {
         )
     }
 
+    fn double(input: FloatTensor<Self>) -> FloatTensor<Self> {
+        #[derive(Debug)]
+        struct Double;
+
+        impl<B: KernelBackend> Backward<B, 1> for Double {
+            type State = ();
+
+            fn backward(
+                self,
+                ops: Ops<Self::State, 1>,
+                grads: &mut Gradients,
+                _: &mut Checkpointer,
+            ) {
+                let grad = grads.consume::<B>(&ops.node);
+                if let [Some(node)] = ops.parents {
+                    grads.register::<B>(node.id, B::double_grad(grad));
+                }
+            }
+        }
+
+        match Double
+            .prepare::<C>([input.node()])
+            .compute_bound()
+            .stateful()
+        {
+            OpsKind::Tracked(prep) => prep.finish((), B::double(input.into_primitive())),
+            OpsKind::UnTracked(prep) => prep.finish(B::double(input.into_primitive())),
+        }
+    }
+
     fn twin_pool(input: FloatTensor<Self>, kind: TwinInput) -> FloatTensor<Self> {
         #[derive(Debug)]
         struct TwinPool;

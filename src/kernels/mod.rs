@@ -1,10 +1,12 @@
 //! The operations that both networks spend their time in, as a Burn backend extension.
 //!
-//! [`conv2d`], [`conv2d_act`] and [`batch_norm_act`] run on every backend: composed from Burn's
-//! own operations in general, and as kernels of our own on Flex, the default CPU backend. The
-//! kernels need no column matrix: [`PlaneLayout`](shape::PlaneLayout) pads the input once so that
-//! every tap of a convolution reads contiguous memory, and one register-tiled product serves the
-//! forward pass, the input's gradient and every stride.
+//! They run on every backend: composed from Burn's own operations in general, and as kernels of our
+//! own on Flex, the default CPU backend.
+//!
+//! Images are `[batch, height, width, channels]` here, unlike in Burn's own operations: with the
+//! channels innermost one register-tiled product serves convolutions of every kernel and stride,
+//! both gradients and Winograd's algorithm, without a column matrix, and joining or splitting
+//! channels needs no copy. [`pixels`] and [`planes`] lead from one order to the other.
 //!
 //! `unsafe` code lives in this module only.
 #![allow(
@@ -22,27 +24,31 @@ mod extension;
 #[cfg(feature = "flex")]
 mod flex;
 mod gradients;
+pub mod layout;
 mod memory;
 pub mod norm;
+pub mod packed;
 pub mod pool;
 pub mod shape;
 pub mod simd;
 pub mod weight_grad;
+pub mod winograd;
+mod winograd_grad;
 
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
 pub use conv::Activation;
-pub use extension::{ConvGeometry, KernelBackend};
+pub use extension::{ConvExtent, ConvGeometry, ConvInputs, KernelBackend, Residual};
 pub use memory::keep_freed_memory;
 pub use pool::TwinInput;
 
 /// Convolution without bias or activation, differentiable.
 ///
 /// # Shapes
-/// - `input`: `[batch, channels_in, height, width]`
+/// - `input`: `[batch, height, width, channels_in]`
 /// - `weight`: `[channels_out, channels_in / groups, kernel_h, kernel_w]`
-/// - output: `[batch, channels_out, height_out, width_out]`
+/// - output: `[batch, height_out, width_out, channels_out]`
 pub fn conv2d(input: Tensor<4>, weight: Tensor<4>, geometry: ConvGeometry) -> Tensor<4> {
     let output = <Dispatch as KernelBackend>::conv2d_plain(
         input.into_dispatch(),
@@ -73,6 +79,68 @@ pub fn conv2d_act(
     Tensor::from_dispatch(output)
 }
 
+/// A convolution's weights in the order in which the device's kernels read them: made once, for
+/// inference.
+#[derive(Debug, Clone)]
+pub struct PackedConv {
+    packed: Tensor<1>,
+    extent: ConvExtent,
+    geometry: ConvGeometry,
+}
+
+impl PackedConv {
+    /// Packs weights `[channels_out, channels_in / groups, kernel_h, kernel_w]`.
+    pub fn new(weight: Tensor<4>, geometry: ConvGeometry) -> Self {
+        let extent = ConvExtent::of(weight.dims());
+        let packed = <Dispatch as KernelBackend>::conv2d_pack(weight.into_dispatch(), geometry);
+        Self {
+            packed: Tensor::from_dispatch(packed),
+            extent,
+            geometry,
+        }
+    }
+
+    /// `activation(conv(inputs) + bias) + residual`.
+    ///
+    /// Nothing is copied to join the inputs where the convolution is pointwise.
+    ///
+    /// # Shapes
+    /// - `inputs`: `[batch, height, width, channels]` each; their channels follow one another, and
+    ///   those of half the height and width are doubled
+    /// - `bias`: `[channels_out]`
+    /// - `residual` and output: `[batch, height_out, width_out, channels_out]`
+    pub fn forward(
+        &self,
+        inputs: Vec<Tensor<4>>,
+        bias: Tensor<1>,
+        residual: Option<Tensor<4>>,
+        activation: Activation,
+    ) -> Tensor<4> {
+        let parts = if inputs.len() > ConvInputs::<Dispatch>::MOST {
+            vec![join(inputs)]
+        } else {
+            inputs
+        };
+        let parts = parts.into_iter().map(Tensor::into_dispatch).collect();
+        let Some(parts) = ConvInputs::from_parts(parts) else {
+            unreachable!("a convolution has an input");
+        };
+        let residual = residual.map_or(Residual::None, |residual| {
+            Residual::Of(residual.into_dispatch())
+        });
+        let output = <Dispatch as KernelBackend>::conv2d_packed(
+            parts,
+            self.packed.clone().into_dispatch(),
+            bias.into_dispatch(),
+            residual,
+            self.extent,
+            self.geometry,
+            activation,
+        );
+        Tensor::from_dispatch(output)
+    }
+}
+
 /// What [`batch_norm_act`] returns.
 #[derive(Debug, Clone)]
 pub struct NormOutput {
@@ -87,7 +155,7 @@ pub struct NormOutput {
 /// Batch normalisation by the batch's own statistics, then the activation, differentiable.
 ///
 /// # Shapes
-/// - `input` and output: `[batch, channels, height, width]`
+/// - `input` and output: `[batch, height, width, channels]`
 /// - `gamma`, `beta`: `[channels]`
 pub fn batch_norm_act(
     input: Tensor<4>,
@@ -113,11 +181,59 @@ pub fn batch_norm_act(
 /// 2x2 pooling with stride 2 and ReLU of both pathways of the ranging network, differentiable.
 ///
 /// # Shapes
-/// - `input`: `[batch, channels, height, width]`, or twice the batch when stacked
-/// - output: `[2 batch, channels, height / 2, width / 2]`, maximum pathway first
+/// - `input`: `[batch, height, width, channels]`, or twice the batch when stacked
+/// - output: `[2 batch, height / 2, width / 2, channels]`, maximum pathway first
 pub fn twin_pool(input: Tensor<4>, kind: TwinInput) -> Tensor<4> {
     Tensor::from_dispatch(<Dispatch as KernelBackend>::twin_pool(
         input.into_dispatch(),
         kind,
     ))
+}
+
+/// Maximum of the `size x size` pixels around each pixel (`size` odd), differentiable.
+///
+/// # Shapes
+/// - `input` and output: `[batch, height, width, channels]`
+pub fn local_maximum(input: Tensor<4>, size: usize) -> Tensor<4> {
+    Tensor::from_dispatch(<Dispatch as KernelBackend>::local_maximum(
+        input.into_dispatch(),
+        size,
+    ))
+}
+
+/// All channels of several inputs, those of half the largest height and width doubled;
+/// differentiable.
+///
+/// # Shapes
+/// - `inputs`: `[batch, height, width, channels]` each
+/// - output: `[batch, height, width, all channels]`
+pub fn join(inputs: Vec<Tensor<4>>) -> Tensor<4> {
+    let height = inputs.iter().map(|input| input.dims()[1]).max();
+    let inputs = inputs.into_iter().map(|input| {
+        if Some(input.dims()[1]) == height {
+            input
+        } else {
+            double(input)
+        }
+    });
+    Tensor::cat(inputs.collect(), 3)
+}
+
+/// Every pixel four times, differentiable.
+///
+/// # Shapes
+/// - `input`: `[batch, height, width, channels]`
+/// - output: `[batch, 2 height, 2 width, channels]`
+pub fn double(input: Tensor<4>) -> Tensor<4> {
+    Tensor::from_dispatch(<Dispatch as KernelBackend>::double(input.into_dispatch()))
+}
+
+/// From `[batch, channels, height, width]` to `[batch, height, width, channels]`.
+pub fn pixels(planes: Tensor<4>) -> Tensor<4> {
+    planes.permute([0, 2, 3, 1])
+}
+
+/// From `[batch, height, width, channels]` to `[batch, channels, height, width]`.
+pub fn planes(pixels: Tensor<4>) -> Tensor<4> {
+    pixels.permute([0, 3, 1, 2])
 }

@@ -1,8 +1,10 @@
-//! The twin pooling of the ranging network on slices: 2x2 windows, by maximum for one pathway and
-//! by average for the other, then ReLU.
+//! Pooling on slices: the twin pooling of the ranging network (2x2 windows, by maximum for one
+//! pathway and by average for the other, then ReLU), maxima of square windows, and doubling.
 
+use pulp::Simd;
 use rayon::prelude::*;
 
+use super::layout::Pixels;
 use super::simd;
 
 /// Where the two pathways take their input from.
@@ -14,60 +16,133 @@ pub enum TwinInput {
     Stacked,
 }
 
-/// Extent of the pooled planes.
-#[derive(Debug, Clone, Copy)]
-pub struct TwinShape {
-    /// Planes of the input: images times channels.
-    pub planes: usize,
-    /// Height and width of an input plane.
-    pub size: [usize; 2],
-    /// Where the pathways' input is.
-    pub input: TwinInput,
+/// Pools both pathways, `[2 batch, height / 2, width / 2, channels]`: the maximum pathway's images,
+/// then the average pathway's. Incomplete windows are dropped.
+pub fn forward(input: Pixels, kind: TwinInput) -> Vec<f32> {
+    let (rows, columns) = (input.height / 2, input.width / 2);
+    let pathway = pathway_images(&input, kind);
+    let row_values = columns * input.channels;
+    let mut output = vec![0.0; 2 * pathway * rows * row_values];
+    if output.is_empty() {
+        return output;
+    }
+    output
+        .par_chunks_exact_mut(row_values)
+        .with_min_len(4)
+        .enumerate()
+        .for_each(|(row, output)| {
+            let (image, y) = (row / rows, row % rows);
+            let source = match kind {
+                TwinInput::Shared => image % pathway,
+                TwinInput::Stacked => image,
+            };
+            pulp::Arch::new().dispatch(PoolRow {
+                input: &input,
+                image: source,
+                y,
+                maximum: image < pathway,
+                output,
+            });
+        });
+    output
 }
 
-impl TwinShape {
-    /// Height and width of an output plane; incomplete windows are dropped.
-    pub fn pooled(&self) -> [usize; 2] {
-        self.size.map(|side| side / 2)
+/// Images of one pathway.
+fn pathway_images(input: &Pixels, kind: TwinInput) -> usize {
+    match kind {
+        TwinInput::Shared => input.images,
+        TwinInput::Stacked => input.images / 2,
     }
+}
 
-    /// Planes of each pathway.
-    fn pathway(&self) -> usize {
-        match self.input {
-            TwinInput::Shared => self.planes,
-            TwinInput::Stacked => self.planes / 2,
+struct PoolRow<'a> {
+    input: &'a Pixels<'a>,
+    image: usize,
+    y: usize,
+    maximum: bool,
+    output: &'a mut [f32],
+}
+
+/// The four pixels of a window.
+#[inline(always)]
+fn window<'a>(input: &Pixels<'a>, image: usize, y: usize, x: usize) -> [&'a [f32]; 4] {
+    let (y, x) = (2 * y, 2 * x);
+    [
+        input.pixel(image, y, x),
+        input.pixel(image, y, x + 1),
+        input.pixel(image, y + 1, x),
+        input.pixel(image, y + 1, x + 1),
+    ]
+}
+
+impl pulp::WithSimd for PoolRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let zero = simd.splat_f32s(0.0);
+        let quarter = simd.splat_f32s(0.25);
+        let channels = self.input.channels;
+        for (x, target) in self.output.chunks_exact_mut(channels).enumerate() {
+            let window = window(self.input, self.image, self.y, x);
+            for first in (0..channels).step_by(S::F32_LANES) {
+                let end = channels.min(first + S::F32_LANES);
+                let mut values = [zero; 4];
+                for (value, pixel) in values.iter_mut().zip(window) {
+                    *value = simd::load(simd, &pixel[first..end]);
+                }
+                let [a, b, c, d] = values;
+                let pooled = if self.maximum {
+                    simd.max_f32s(simd.max_f32s(a, b), simd.max_f32s(c, d))
+                } else {
+                    let sum = simd.add_f32s(simd.add_f32s(a, b), simd.add_f32s(c, d));
+                    simd.mul_f32s(quarter, sum)
+                };
+                let pooled = simd.max_f32s(pooled, zero);
+                simd::store(simd, &mut target[first..end], pooled);
+            }
         }
     }
 }
 
-/// Pools both pathways: planes of the maximum pathway, then of the average pathway.
-pub fn forward(shape: &TwinShape, input: &[f32]) -> Vec<f32> {
-    let [height, width] = shape.size;
-    let [rows, columns] = shape.pooled();
-    let pathway = shape.pathway();
-    let mut output = vec![0.0; 2 * pathway * rows * columns];
+/// Gradient of the input. The maximum's gradient goes to the first largest value of the window;
+/// windows whose result the ReLU cut pass nothing on.
+pub fn backward(input: Pixels, grad: Pixels, kind: TwinInput) -> Vec<f32> {
+    let (rows, columns, channels) = (input.height / 2, input.width / 2, input.channels);
+    let pathway = pathway_images(&input, kind);
+    let row_values = input.width * channels;
+    let mut output = vec![0.0; input.images * input.height * row_values];
+    let image_values = input.height * row_values;
     output
-        .par_chunks_exact_mut(rows * columns)
+        .par_chunks_exact_mut(image_values)
         .enumerate()
-        .for_each(|(plane, output)| {
-            let source = if shape.input == TwinInput::Shared {
-                plane % pathway
-            } else {
-                plane
+        .flat_map(|(image, output)| {
+            output
+                .par_chunks_mut(2 * row_values)
+                .take(rows)
+                .with_min_len(4)
+                .enumerate()
+                .map(move |(y, output)| (image, y, output))
+        })
+        .for_each(|(image, y, output)| {
+            let (maximum, average) = match kind {
+                TwinInput::Shared => (Some(image), Some(pathway + image)),
+                TwinInput::Stacked if image < pathway => (Some(image), None),
+                TwinInput::Stacked => (None, Some(image)),
             };
-            let input = &input[source * height * width..][..height * width];
             simd::vectorized(|| {
-                for (y, row) in output.chunks_exact_mut(columns).enumerate() {
-                    let upper = &input[2 * y * width..][..2 * columns];
-                    let lower = &input[(2 * y + 1) * width..][..2 * columns];
-                    let (upper, _) = upper.as_chunks::<2>();
-                    let (lower, _) = lower.as_chunks::<2>();
-                    for ((value, a), b) in row.iter_mut().zip(upper).zip(lower) {
-                        *value = if plane < pathway {
-                            a[0].max(a[1]).max(b[0]).max(b[1]).max(0.0)
-                        } else {
-                            (0.25 * (a[0] + a[1] + b[0] + b[1])).max(0.0)
-                        };
+                let (upper, lower) = output.split_at_mut(row_values);
+                for x in 0..columns {
+                    let window = window(&input, image, y, x);
+                    let [first, second] = [2 * x, 2 * x + 1].map(|x| x * channels);
+                    let (u0, u1) = upper[first..second + channels].split_at_mut(channels);
+                    let (l0, l1) = lower[first..second + channels].split_at_mut(channels);
+                    if let Some(image) = maximum {
+                        let grad = grad.pixel(image, y, x);
+                        pass_maximum(window, grad, [&mut *u0, &mut *u1, &mut *l0, &mut *l1]);
+                    }
+                    if let Some(image) = average {
+                        pass_average(window, grad.pixel(image, y, x), [u0, u1, l0, l1]);
                     }
                 }
             });
@@ -75,60 +150,102 @@ pub fn forward(shape: &TwinShape, input: &[f32]) -> Vec<f32> {
     output
 }
 
-/// Gradient of the input. The maximum's gradient goes to the first largest value of the window;
-/// windows whose result the ReLU cut pass nothing on.
-pub fn backward(shape: &TwinShape, input: &[f32], grad: &[f32]) -> Vec<f32> {
-    let [height, width] = shape.size;
-    let [rows, columns] = shape.pooled();
-    let pathway = shape.pathway();
-    let area = rows * columns;
-    let mut output = vec![0.0; shape.planes * height * width];
-    output
-        .par_chunks_exact_mut(height * width)
+#[inline(always)]
+fn pass_maximum(window: [&[f32]; 4], grad: &[f32], targets: [&mut [f32]; 4]) {
+    let channels = grad.len();
+    let [a, b, c, d] = window.map(|pixel| &pixel[..channels]);
+    let [ta, tb, tc, td] = targets.map(|pixel| &mut pixel[..channels]);
+    for i in 0..channels {
+        let largest = a[i].max(b[i]).max(c[i]).max(d[i]);
+        let g = if largest > 0.0 { grad[i] } else { 0.0 };
+        let first = a[i] >= largest;
+        let second = !first && b[i] >= largest;
+        let third = !first && !second && c[i] >= largest;
+        let fourth = !(first || second || third);
+        ta[i] += if first { g } else { 0.0 };
+        tb[i] += if second { g } else { 0.0 };
+        tc[i] += if third { g } else { 0.0 };
+        td[i] += if fourth { g } else { 0.0 };
+    }
+}
+
+#[inline(always)]
+fn pass_average(window: [&[f32]; 4], grad: &[f32], targets: [&mut [f32]; 4]) {
+    let channels = grad.len();
+    let [a, b, c, d] = window.map(|pixel| &pixel[..channels]);
+    let [ta, tb, tc, td] = targets.map(|pixel| &mut pixel[..channels]);
+    for i in 0..channels {
+        let g = if a[i] + b[i] + c[i] + d[i] > 0.0 {
+            0.25 * grad[i]
+        } else {
+            0.0
+        };
+        ta[i] += g;
+        tb[i] += g;
+        tc[i] += g;
+        td[i] += g;
+    }
+}
+
+/// Maximum of the `size x size` pixels around each pixel (`size` odd), of those inside the image.
+pub fn local_maximum(input: Pixels, size: usize) -> Vec<f32> {
+    let (height, width, channels) = (input.height, input.width, input.channels);
+    let reach = size / 2;
+    let row_values = width * channels;
+    let mut output = vec![0.0; input.images * height * row_values];
+    // The maximum of maxima of rows: along a row first.
+    let mut along = vec![0.0; output.len()];
+    along
+        .par_chunks_exact_mut(row_values)
         .enumerate()
-        .for_each(|(plane, output)| {
-            let input = &input[plane * height * width..][..height * width];
-            let shared = shape.input == TwinInput::Shared;
-            let maximum = (shared || plane < pathway).then(|| &grad[plane * area..][..area]);
-            let average = if shared {
-                Some(pathway + plane)
-            } else {
-                (plane >= pathway).then_some(plane)
-            };
-            let average = average.map(|plane| &grad[plane * area..][..area]);
+        .for_each(|(row, output)| {
+            let (image, y) = (row / height, row % height);
+            for (x, target) in output.chunks_exact_mut(channels).enumerate() {
+                target.copy_from_slice(input.pixel(image, y, x));
+                for other in x.saturating_sub(reach)..(x + reach + 1).min(width) {
+                    largest(target, input.pixel(image, y, other));
+                }
+            }
+        });
+    output
+        .par_chunks_exact_mut(row_values)
+        .enumerate()
+        .for_each(|(row, output)| {
+            let (image, y) = (row / height, row % height);
+            output.copy_from_slice(&along[row * row_values..][..row_values]);
+            for other in y.saturating_sub(reach)..(y + reach + 1).min(height) {
+                largest(
+                    output,
+                    &along[(image * height + other) * row_values..][..row_values],
+                );
+            }
+        });
+    output
+}
+
+/// Raises every value to at least the other's.
+fn largest(values: &mut [f32], others: &[f32]) {
+    simd::vectorized(|| {
+        for (value, other) in values.iter_mut().zip(others) {
+            *value = value.max(*other);
+        }
+    });
+}
+
+/// Sum of every 2x2 window, `[images, height / 2, width / 2, channels]`: the gradient of doubling.
+pub fn window_sums(input: Pixels) -> Vec<f32> {
+    let (rows, columns, channels) = (input.height / 2, input.width / 2, input.channels);
+    let mut output = vec![0.0; input.images * rows * columns * channels];
+    output
+        .par_chunks_exact_mut((columns * channels).max(1))
+        .enumerate()
+        .for_each(|(row, output)| {
             simd::vectorized(|| {
-                for y in 0..rows {
-                    let (upper, lower) = output[2 * y * width..][..2 * width].split_at_mut(width);
-                    let (upper, _) = upper[..2 * columns].as_chunks_mut::<2>();
-                    let (lower, _) = lower[..2 * columns].as_chunks_mut::<2>();
-                    let (a, _) = input[2 * y * width..][..2 * columns].as_chunks::<2>();
-                    let (b, _) = input[(2 * y + 1) * width..][..2 * columns].as_chunks::<2>();
-                    if let Some(grad) = maximum {
-                        let grad = &grad[y * columns..][..columns];
-                        for x in 0..columns {
-                            let window = [a[x][0], a[x][1], b[x][0], b[x][1]];
-                            let largest = window[0].max(window[1]).max(window[2]).max(window[3]);
-                            let g = if largest > 0.0 { grad[x] } else { 0.0 };
-                            let first = window[0] >= largest;
-                            let second = !first && window[1] >= largest;
-                            let third = !first && !second && window[2] >= largest;
-                            let fourth = !(first || second || third);
-                            upper[x][0] += if first { g } else { 0.0 };
-                            upper[x][1] += if second { g } else { 0.0 };
-                            lower[x][0] += if third { g } else { 0.0 };
-                            lower[x][1] += if fourth { g } else { 0.0 };
-                        }
-                    }
-                    if let Some(grad) = average {
-                        let grad = &grad[y * columns..][..columns];
-                        for x in 0..columns {
-                            let mean = a[x][0] + a[x][1] + b[x][0] + b[x][1];
-                            let g = if mean > 0.0 { 0.25 * grad[x] } else { 0.0 };
-                            upper[x]
-                                .iter_mut()
-                                .chain(&mut lower[x])
-                                .for_each(|value| *value += g);
-                        }
+                for (x, target) in output.chunks_exact_mut(channels).enumerate() {
+                    let [a, b, c, d] = window(&input, row / rows, row % rows, x)
+                        .map(|pixel| &pixel[..target.len()]);
+                    for (i, value) in target.iter_mut().enumerate() {
+                        *value = a[i] + b[i] + c[i] + d[i];
                     }
                 }
             });
@@ -142,26 +259,36 @@ mod tests {
 
     #[test]
     fn a_window_gives_its_maximum_and_its_mean_and_odd_edges_are_dropped() {
-        let shape = TwinShape {
-            planes: 1,
-            size: [3, 3],
-            input: TwinInput::Shared,
-        };
-        let input = [1.0, 4.0, 9.0, -3.0, 2.0, 9.0, 9.0, 9.0, 9.0];
-        assert_eq!(forward(&shape, &input), vec![4.0, 1.0]);
-        let grad = backward(&shape, &input, &[10.0, 4.0]);
+        let values = [1.0, 4.0, 9.0, -3.0, 2.0, 9.0, 9.0, 9.0, 9.0];
+        let input = Pixels::dense(&values, [1, 3, 3, 1]);
+        assert_eq!(forward(input, TwinInput::Shared), vec![4.0, 1.0]);
+        let grad = [10.0, 4.0];
+        let grad = backward(input, Pixels::dense(&grad, [2, 1, 1, 1]), TwinInput::Shared);
         assert_eq!(grad, vec![1.0, 11.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
     }
 
     #[test]
     fn a_window_below_zero_passes_no_gradient() {
-        let shape = TwinShape {
-            planes: 2,
-            size: [2, 2],
-            input: TwinInput::Stacked,
-        };
-        let input = [-1.0; 8];
-        assert_eq!(forward(&shape, &input), vec![0.0, 0.0]);
-        assert_eq!(backward(&shape, &input, &[1.0, 1.0]), vec![0.0; 8]);
+        let values = [-1.0; 8];
+        let input = Pixels::dense(&values, [2, 2, 2, 1]);
+        assert_eq!(forward(input, TwinInput::Stacked), vec![0.0, 0.0]);
+        let grad = Pixels::dense(&[1.0, 1.0], [2, 1, 1, 1]);
+        assert_eq!(backward(input, grad, TwinInput::Stacked), vec![0.0; 8]);
+    }
+
+    #[test]
+    fn a_local_maximum_looks_no_further_than_the_image() {
+        let values = [-1.0, -2.0, -3.0, -9.0, -5.0, -6.0];
+        let input = Pixels::dense(&values, [1, 2, 3, 1]);
+        let expected = vec![-1.0, -1.0, -2.0, -1.0, -1.0, -2.0];
+        assert_eq!(local_maximum(input, 3), expected);
+        assert_eq!(local_maximum(input, 5), vec![-1.0; 6]);
+    }
+
+    #[test]
+    fn window_sums_add_four_pixels_channel_by_channel() {
+        let values: Vec<f32> = (0..16_u8).map(f32::from).collect();
+        let input = Pixels::dense(&values, [1, 2, 4, 2]);
+        assert_eq!(window_sums(input), vec![20.0, 24.0, 36.0, 40.0]);
     }
 }

@@ -1,17 +1,25 @@
-//! The inner loops, written once for every vector width (AVX-512, AVX2 with FMA, scalar) and
+//! The inner loops, written once for every vector width (AVX-512, AVX2 with FMA, NEON, scalar) and
 //! chosen at run time by pulp.
 
 use pulp::Simd;
 
-/// Vectors of positions in one tile of a product.
-pub const TILE_VECTORS: usize = 3;
-/// Values in the widest tile.
-pub const MAX_TILE: usize = TILE_VECTORS * 16;
+/// Vectors of output channels in a full tile of a product.
+pub const TILE_VECTORS: usize = 2;
+/// Positions of the largest tile.
+pub const MAX_POSITIONS: usize = 14;
+/// Floats in the widest vector.
+pub const MAX_LANES: usize = 16;
+/// Values of the largest tile.
+pub const MAX_TILE: usize = MAX_POSITIONS * TILE_VECTORS * MAX_LANES;
 
-/// Output channels of one tile: what fits the register file of the machine's vectors.
-pub fn tile_channels() -> usize {
-    match vector_lanes() {
-        16 => 8,
+/// Most positions of a tile: sums, weights and one input value fill the register file (32 vectors
+/// with AVX-512 and NEON, 16 with AVX2).
+#[inline(always)]
+pub const fn tile_positions<S: Simd>() -> usize {
+    match S::F32_LANES {
+        16 => 14,
+        8 => 6,
+        4 => 14,
         _ => 4,
     }
 }
@@ -42,81 +50,204 @@ pub fn vectorized<R>(work: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(Run(work))
 }
 
-/// One tile of `out[m, p] = sum_k weights[k, m] * planes[offsets[k] + p]`, for `ROWS` channels
-/// and `TILE_VECTORS` vectors of positions, into `tile` (row-major, `ROWS` rows).
+/// Loads a vector; values beyond the slice's end are zero.
+#[inline(always)]
+pub fn load<S: Simd>(simd: S, values: &[f32]) -> S::f32s {
+    if values.len() >= S::F32_LANES {
+        // SAFETY: the slice holds a whole vector; the read is unaligned.
+        unsafe { values.as_ptr().cast::<S::f32s>().read_unaligned() }
+    } else {
+        simd.partial_load_f32s(values)
+    }
+}
+
+/// Stores a vector, or as much of it as the slice has room for.
+#[inline(always)]
+pub fn store<S: Simd>(simd: S, target: &mut [f32], values: S::f32s) {
+    if target.len() >= S::F32_LANES {
+        // SAFETY: the slice has room for a whole vector; the write is unaligned.
+        unsafe {
+            target
+                .as_mut_ptr()
+                .cast::<S::f32s>()
+                .write_unaligned(values);
+        }
+    } else {
+        simd.partial_store_f32s(target, values);
+    }
+}
+
+/// A run of input values that enter a product one after the other, the same for every position.
+#[derive(Debug, Clone, Copy)]
+pub struct Run {
+    /// First value for the tile's first position.
+    pub input: *const f32,
+    /// Distance of two positions' values.
+    pub stride: usize,
+    /// Values of each position.
+    pub len: usize,
+}
+
+impl Default for Run {
+    fn default() -> Self {
+        Self {
+            input: std::ptr::null(),
+            stride: 0,
+            len: 0,
+        }
+    }
+}
+
+/// One tile of a product: `tile[p, v] = sum_k input[p, k] * weights[k, v]` for `P` positions and `V`
+/// vectors of output channels; `k` counts through all runs. The tile is stored row by row.
 ///
 /// # Safety
-/// For every k, `planes + offsets[k]` must be readable for `TILE_VECTORS * F32_LANES` floats.
+/// Every run must be readable for `P` positions, `weights` for as many rows of `V` vectors as the
+/// runs have values, and `tile` must hold `P` rows of `V` vectors.
 #[inline(always)]
-pub unsafe fn product_tile<S: Simd, const ROWS: usize>(
+unsafe fn product_tile<S: Simd, const P: usize, const V: usize>(
     simd: S,
-    weights: &[f32],
-    offsets: &[usize],
-    planes: *const f32,
+    runs: &[Run],
+    mut weights: *const f32,
     tile: &mut [f32],
 ) {
-    let mut sums = [[simd.splat_f32s(0.0); TILE_VECTORS]; ROWS];
-    for (weights, &offset) in weights.chunks_exact(ROWS).zip(offsets) {
-        // SAFETY: in bounds by the caller's promise; the read is unaligned.
-        let values: [S::f32s; TILE_VECTORS] = unsafe {
-            std::array::from_fn(|v| {
-                planes
-                    .add(offset + v * S::F32_LANES)
-                    .cast::<S::f32s>()
-                    .read_unaligned()
-            })
-        };
-        for m in 0..ROWS {
-            let weight = simd.splat_f32s(weights[m]);
-            for v in 0..TILE_VECTORS {
-                sums[m][v] = simd.mul_add_f32s(weight, values[v], sums[m][v]);
+    let mut sums = [[simd.splat_f32s(0.0); V]; P];
+    for run in runs {
+        let mut input = run.input;
+        for _ in 0..run.len {
+            // SAFETY: in bounds by the caller's promise; the reads are unaligned.
+            unsafe {
+                let mut row = [simd.splat_f32s(0.0); V];
+                for (v, vector) in row.iter_mut().enumerate() {
+                    *vector = weights
+                        .add(v * S::F32_LANES)
+                        .cast::<S::f32s>()
+                        .read_unaligned();
+                }
+                for p in 0..P {
+                    let value = simd.splat_f32s(*input.add(p * run.stride));
+                    for v in 0..V {
+                        sums[p][v] = simd.mul_add_f32s(value, row[v], sums[p][v]);
+                    }
+                }
+                input = input.add(1);
+                weights = weights.add(V * S::F32_LANES);
             }
         }
     }
-    let width = TILE_VECTORS * S::F32_LANES;
-    for (row, sums) in tile.chunks_exact_mut(width).zip(&sums) {
+    for (row, sums) in tile.chunks_exact_mut(V * S::F32_LANES).zip(&sums) {
         row.copy_from_slice(bytemuck::cast_slice(sums));
     }
 }
 
-/// `ROWS x COLUMNS` dot products over `len` (a multiple of the vector length) positions:
-/// `sums[m][k] = sum_p grads[m * grad_stride + p] * planes[offsets[k] + p]`.
+/// [`product_tile`] for any number of positions up to [`tile_positions`].
 ///
 /// # Safety
-/// Every row of `grads` and every `planes + offsets[k]` must be readable for `len` floats.
+/// As [`product_tile`].
 #[inline(always)]
-pub unsafe fn dot_tile<S: Simd, const ROWS: usize, const COLUMNS: usize>(
+pub unsafe fn product<S: Simd, const V: usize>(
     simd: S,
-    grads: *const f32,
-    grad_stride: usize,
-    planes: *const f32,
-    offsets: &[usize; COLUMNS],
+    positions: usize,
+    runs: &[Run],
+    weights: *const f32,
+    tile: &mut [f32],
+) {
+    macro_rules! choose {
+        ($($count:literal)*) => {
+            match positions {
+                // SAFETY: by the caller's promise.
+                $($count => unsafe { product_tile::<S, $count, V>(simd, runs, weights, tile) },)*
+                _ => unreachable!("tiles have 1 to {MAX_POSITIONS} positions"),
+            }
+        };
+    }
+    choose!(1 2 3 4 5 6 7 8 9 10 11 12 13 14);
+}
+
+/// One tile of sums of outer products: `tile[r, v] += sum_p input[p * input_step + r] * grads[p *
+/// grad_step + v]` for `R` neighbouring input values and `V` vectors.
+///
+/// # Safety
+/// `input` must be readable for `R` values and `grads` for `V` vectors at each of `len` positions;
+/// `tile` must be readable and writable for `R` rows of `V` vectors at distance `tile_stride`.
+#[inline(always)]
+#[allow(clippy::too_many_arguments, reason = "two streams and where they meet")]
+unsafe fn outer_tile<S: Simd, const R: usize, const V: usize>(
+    simd: S,
+    mut input: *const f32,
+    input_step: usize,
+    mut grads: *const f32,
+    grad_step: usize,
     len: usize,
-) -> [[f32; COLUMNS]; ROWS] {
-    let mut sums = [[simd.splat_f32s(0.0); COLUMNS]; ROWS];
-    let mut position = 0;
-    while position < len {
+    tile: *mut f32,
+    tile_stride: usize,
+) {
+    let mut sums = [[simd.splat_f32s(0.0); V]; R];
+    for _ in 0..len {
         // SAFETY: in bounds by the caller's promise; the reads are unaligned.
         unsafe {
-            let grads: [S::f32s; ROWS] = std::array::from_fn(|m| {
-                grads
-                    .add(m * grad_stride + position)
-                    .cast::<S::f32s>()
-                    .read_unaligned()
-            });
-            for k in 0..COLUMNS {
-                let value = planes
-                    .add(offsets[k] + position)
+            let mut row = [simd.splat_f32s(0.0); V];
+            for (v, vector) in row.iter_mut().enumerate() {
+                *vector = grads
+                    .add(v * S::F32_LANES)
                     .cast::<S::f32s>()
                     .read_unaligned();
-                for m in 0..ROWS {
-                    sums[m][k] = simd.mul_add_f32s(grads[m], value, sums[m][k]);
+            }
+            for r in 0..R {
+                let value = simd.splat_f32s(*input.add(r));
+                for v in 0..V {
+                    sums[r][v] = simd.mul_add_f32s(value, row[v], sums[r][v]);
                 }
             }
+            // The last step may lead past the end, where nothing is read any more.
+            input = input.wrapping_add(input_step);
+            grads = grads.wrapping_add(grad_step);
         }
-        position += S::F32_LANES;
     }
-    sums.map(|row| row.map(|sum| simd.reduce_sum_f32s(sum)))
+    for (r, sums) in sums.iter().enumerate() {
+        for (v, &sum) in sums.iter().enumerate() {
+            // SAFETY: in bounds by the caller's promise.
+            unsafe {
+                let target = tile
+                    .add(r * tile_stride + v * S::F32_LANES)
+                    .cast::<S::f32s>();
+                target.write_unaligned(simd.add_f32s(target.read_unaligned(), sum));
+            }
+        }
+    }
+}
+
+/// [`outer_tile`] for any number of rows up to [`tile_positions`].
+///
+/// # Safety
+/// As [`outer_tile`].
+#[inline(always)]
+#[allow(clippy::too_many_arguments, reason = "two streams and where they meet")]
+pub unsafe fn outer<S: Simd, const V: usize>(
+    simd: S,
+    rows: usize,
+    input: *const f32,
+    input_step: usize,
+    grads: *const f32,
+    grad_step: usize,
+    len: usize,
+    tile: *mut f32,
+    tile_stride: usize,
+) {
+    macro_rules! choose {
+        ($($count:literal)*) => {
+            match rows {
+                // SAFETY: by the caller's promise.
+                $($count => unsafe {
+                    outer_tile::<S, $count, V>(
+                        simd, input, input_step, grads, grad_step, len, tile, tile_stride,
+                    )
+                },)*
+                _ => unreachable!("tiles have 1 to {MAX_POSITIONS} rows"),
+            }
+        };
+    }
+    choose!(1 2 3 4 5 6 7 8 9 10 11 12 13 14);
 }
 
 /// `e^x` to about 2 units in the last place, in arithmetic that vectorises.
@@ -145,6 +276,34 @@ pub fn exp(x: f32) -> f32 {
 #[inline(always)]
 pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
+}
+
+/// [`sigmoid`] of a vector.
+#[inline(always)]
+pub fn sigmoid_vector<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    let splat = |value: f32| simd.splat_f32s(value);
+    // e^-x by the steps of [`exp`].
+    let round = splat(12_582_912.0);
+    let x = simd.min_f32s(simd.max_f32s(simd.neg_f32s(x), splat(-87.3)), splat(88.3));
+    let shifted = simd.mul_add_f32s(x, splat(std::f32::consts::LOG2_E), round);
+    let n = simd.sub_f32s(shifted, round);
+    let r = simd.mul_add_f32s(n, splat(-0.693_359_4), x);
+    let r = simd.mul_add_f32s(n, splat(2.121_944_4e-4), r);
+    let mut p = splat(1.987_569_1e-4);
+    for coefficient in [
+        1.398_2e-3,
+        8.333_452e-3,
+        4.166_579_6e-2,
+        1.666_666_5e-1,
+        0.5,
+    ] {
+        p = simd.mul_add_f32s(p, r, splat(coefficient));
+    }
+    let e = simd.add_f32s(simd.mul_add_f32s(simd.mul_f32s(p, r), r, r), splat(1.0));
+    let bits = simd.wrapping_dyn_shl_u32s(simd.transmute_u32s_f32s(shifted), simd.splat_u32s(23));
+    let power = simd.transmute_f32s_u32s(simd.add_u32s(bits, simd.splat_u32s(0x3f80_0000)));
+    let e = simd.mul_f32s(e, power);
+    simd.div_f32s(splat(1.0), simd.add_f32s(splat(1.0), e))
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use burn::tensor::activation::softmax;
 use burn::tensor::{Device, Tensor};
 
 use super::{ConvBlock, ConvBlockConfig};
+use crate::kernels;
 
 /// Settings of an [`Attention`].
 #[derive(Config, Debug)]
@@ -58,15 +59,22 @@ impl AttentionConfig {
 
 impl Attention {
     /// # Shapes
-    /// - input and output: `[batch, channels, height, width]`
+    /// - input and output: `[batch, height, width, channels]`
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        let [batch, channels, height, width] = input.dims();
+        self.forward_residual(input, None)
+    }
+
+    /// [`Attention::forward`] with something added to its output.
+    fn forward_residual(&self, input: Tensor<4>, residual: Option<Tensor<4>>) -> Tensor<4> {
+        let [batch, height, width, channels] = input.dims();
         let (key, value) = (self.key_width, self.head_width);
         let pixels = height * width;
-        let qkv = self
-            .qkv
-            .forward(input)
-            .reshape([batch, self.heads, 2 * key + value, pixels]);
+        let qkv = kernels::planes(self.qkv.forward(input)).reshape([
+            batch,
+            self.heads,
+            2 * key + value,
+            pixels,
+        ]);
         let queries = qkv.clone().narrow(2, 0, key); // [batch, heads, key, pixels]
         let keys = qkv.clone().narrow(2, key, key); // [batch, heads, key, pixels]
         let values = qkv.narrow(2, 2 * key, value); // [batch, heads, value, pixels]
@@ -77,10 +85,12 @@ impl Attention {
             .clone()
             .matmul(weights.swap_dims(2, 3)) // [batch, heads, value, pixels]
             .reshape([batch, channels, height, width]);
-        let positions = self
-            .pe
-            .forward(values.reshape([batch, channels, height, width]));
-        self.proj.forward(attended + positions)
+        let values = values.reshape([batch, channels, height, width]);
+        let input = self.pe.forward_joined(
+            vec![kernels::pixels(values)],
+            Some(kernels::pixels(attended)),
+        );
+        self.proj.forward_joined(vec![input], residual)
     }
 
     /// Batch normalisation merged, for inference.
@@ -127,10 +137,13 @@ impl PsaBlockConfig {
 
 impl PsaBlock {
     /// # Shapes
-    /// - input and output: `[batch, channels, height, width]`
+    /// - input and output: `[batch, height, width, channels]`
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        let x = self.attn.forward(input.clone()) + input;
-        self.ffn.iter().fold(x.clone(), |x, layer| layer.forward(x)) + x
+        let x = self.attn.forward_residual(input.clone(), Some(input));
+        let [widen, narrow] = &self.ffn[..] else {
+            unreachable!("the block has two feed-forward layers");
+        };
+        narrow.forward_joined(vec![widen.forward(x.clone())], Some(x))
     }
 
     /// Batch normalisation merged, for inference.
@@ -179,13 +192,13 @@ impl C2psaConfig {
 
 impl C2psa {
     /// # Shapes
-    /// - input and output: `[batch, channels, height, width]`
+    /// - input and output: `[batch, height, width, channels]`
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
         let halves = self.cv1.forward(input);
-        let past = halves.clone().narrow(1, 0, self.hidden);
-        let deep = halves.narrow(1, self.hidden, self.hidden);
+        let past = halves.clone().narrow(3, 0, self.hidden);
+        let deep = halves.narrow(3, self.hidden, self.hidden);
         let deep = self.m.iter().fold(deep, |x, block| block.forward(x));
-        self.cv2.forward(Tensor::cat(vec![past, deep], 1))
+        self.cv2.forward_joined(vec![past, deep], None)
     }
 
     /// Batch normalisation merged, for inference.

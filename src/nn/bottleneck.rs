@@ -39,9 +39,10 @@ impl BottleneckConfig {
 
 impl Bottleneck {
     /// # Shapes
-    /// - input and output: `[batch, channels, height, width]`
+    /// - input and output: `[batch, height, width, channels]`
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        self.cv2.forward(self.cv1.forward(input.clone())) + input
+        let hidden = self.cv1.forward(input.clone());
+        self.cv2.forward_joined(vec![hidden], Some(input))
     }
 
     /// Batch normalisation merged, for inference.
@@ -89,14 +90,14 @@ impl C3kConfig {
 
 impl C3k {
     /// # Shapes
-    /// - input and output: `[batch, channels, height, width]`
+    /// - input and output: `[batch, height, width, channels]`
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
         let deep = self
             .m
             .iter()
             .fold(self.cv1.forward(input.clone()), |x, m| m.forward(x));
-        self.cv3
-            .forward(Tensor::cat(vec![deep, self.cv2.forward(input)], 1))
+        let past = self.cv2.forward(input);
+        self.cv3.forward_joined(vec![deep, past], None)
     }
 
     /// Batch normalisation merged, for inference.

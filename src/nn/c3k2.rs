@@ -59,11 +59,16 @@ impl C3k2Config {
 
 impl C3k2 {
     /// # Shapes
-    /// - input: `[batch, channels_in, height, width]`
-    /// - output: `[batch, channels_out, height, width]`
+    /// - input: `[batch, height, width, channels_in]`
+    /// - output: `[batch, height, width, channels_out]`
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        let halves = self.cv1.forward(input); // [batch, 2 hidden, height, width]
-        let mut last = halves.clone().narrow(1, self.hidden, self.hidden);
+        self.forward_joined(vec![input])
+    }
+
+    /// [`C3k2::forward`] of several inputs as [`ConvBlock::forward_joined`] takes them.
+    pub fn forward_joined(&self, inputs: Vec<Tensor<4>>) -> Tensor<4> {
+        let halves = self.cv1.forward_joined(inputs, None); // [batch, height, width, 2 hidden]
+        let mut last = halves.clone().narrow(3, self.hidden, self.hidden);
         let mut parts = vec![halves];
         for block in &self.bottlenecks {
             last = block.forward(last);
@@ -73,7 +78,7 @@ impl C3k2 {
             last = block.forward(last);
             parts.push(last.clone());
         }
-        self.cv2.forward(Tensor::cat(parts, 1))
+        self.cv2.forward_joined(parts, None)
     }
 
     /// Batch normalisation merged, for inference.

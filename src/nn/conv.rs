@@ -5,7 +5,7 @@ use burn::module::{Initializer, Module, Param};
 use burn::nn::{BatchNorm, BatchNormConfig};
 use burn::tensor::{Device, Tensor};
 
-use crate::kernels::{self, Activation, ConvGeometry};
+use crate::kernels::{self, Activation, ConvGeometry, PackedConv};
 
 /// Constant of every batch normalisation in the network.
 const BATCH_NORM_EPSILON: f64 = 1e-3;
@@ -39,6 +39,9 @@ pub struct Conv {
     pub weight: Param<Tensor<4>>,
     /// `[channels_out]`, absent before a batch normalisation.
     pub bias: Option<Param<Tensor<1>>>,
+    /// The weights once more, in the kernels' order; only for inference.
+    #[module(skip)]
+    packed: Option<PackedConv>,
     #[module(skip)]
     geometry: ConvGeometry,
 }
@@ -71,6 +74,7 @@ impl ConvConfig {
         Conv {
             weight: weights.init(shape, device),
             bias: self.bias.then(|| biases.init([self.channels_out], device)),
+            packed: None,
             geometry: ConvGeometry {
                 stride: self.stride,
                 padding: self.padding,
@@ -84,23 +88,42 @@ impl Conv {
     /// Convolves.
     ///
     /// # Shapes
-    /// - input: `[batch, channels_in, height, width]`
-    /// - output: `[batch, channels_out, height_out, width_out]`
+    /// - input: `[batch, height, width, channels_in]`
+    /// - output: `[batch, height_out, width_out, channels_out]`
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
-        self.forward_act(input, Activation::None)
+        self.forward_joined(vec![input], None, Activation::None)
     }
 
-    fn forward_act(&self, input: Tensor<4>, activation: Activation) -> Tensor<4> {
-        match &self.bias {
-            Some(bias) => kernels::conv2d_act(
-                input,
-                self.weight.val(),
-                bias.val(),
-                self.geometry,
-                activation,
-            ),
-            None => kernels::conv2d(input, self.weight.val(), self.geometry),
+    /// `activation(conv(inputs) + bias) + residual`.
+    fn forward_joined(
+        &self,
+        inputs: Vec<Tensor<4>>,
+        residual: Option<Tensor<4>>,
+        activation: Activation,
+    ) -> Tensor<4> {
+        if let (Some(packed), Some(bias)) = (&self.packed, &self.bias) {
+            return packed.forward(inputs, bias.val(), residual, activation);
         }
+        let input = kernels::join(inputs);
+        let weight = self.weight.val();
+        let output = match &self.bias {
+            Some(bias) => kernels::conv2d_act(input, weight, bias.val(), self.geometry, activation),
+            None => kernels::conv2d(input, weight, self.geometry),
+        };
+        add(output, residual)
+    }
+
+    /// The same function with its weights packed for inference.
+    pub fn packed(mut self) -> Self {
+        self.packed = Some(PackedConv::new(self.weight.val(), self.geometry));
+        self
+    }
+}
+
+fn add(output: Tensor<4>, residual: Option<Tensor<4>>) -> Tensor<4> {
+    match residual {
+        Some(residual) => output + residual,
+        None => output,
     }
 }
 
@@ -163,22 +186,36 @@ impl ConvBlock {
     /// normalisation is in training state, by the running statistics otherwise.
     ///
     /// # Shapes
-    /// - input: `[batch, channels_in, height, width]`
-    /// - output: `[batch, channels_out, height_out, width_out]`
+    /// - input: `[batch, height, width, channels_in]`
+    /// - output: `[batch, height_out, width_out, channels_out]`
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
+        self.forward_joined(vec![input], None)
+    }
+
+    /// [`ConvBlock::forward`] of several inputs, their channels one behind the other, those of half
+    /// the largest height and width doubled; then the residual is added. Folded blocks copy nothing
+    /// for it.
+    ///
+    /// # Shapes
+    /// - inputs: `[batch, height, width, channels]` each
+    /// - residual and output: `[batch, height_out, width_out, channels_out]`
+    pub fn forward_joined(&self, inputs: Vec<Tensor<4>>, residual: Option<Tensor<4>>) -> Tensor<4> {
         let Some(bn) = &self.bn else {
-            return self.conv.forward_act(input, self.activation);
+            return self.conv.forward_joined(inputs, residual, self.activation);
         };
-        if input.device().is_autodiff() && bn.training.is_enabled() {
-            return self.forward_train(bn, input);
-        }
-        let (weight, bias) = folded(self.conv.weight.val(), bn);
-        kernels::conv2d_act(input, weight, bias, self.conv.geometry, self.activation)
+        let input = kernels::join(inputs);
+        let output = if input.device().is_autodiff() && bn.training.is_enabled() {
+            self.forward_train(bn, input)
+        } else {
+            let (weight, bias) = folded(self.conv.weight.val(), bn);
+            kernels::conv2d_act(input, weight, bias, self.conv.geometry, self.activation)
+        };
+        add(output, residual)
     }
 
     fn forward_train(&self, bn: &BatchNorm, input: Tensor<4>) -> Tensor<4> {
         let output = self.conv.forward(input);
-        let [batch, _, height, width] = output.dims();
+        let [batch, height, width, _] = output.dims();
         let norm = kernels::batch_norm_act(
             output,
             bn.gamma.val(),
@@ -205,13 +242,15 @@ impl ConvBlock {
         norm.output
     }
 
-    /// The same function for inference with the normalisation merged into the convolution.
+    /// The same function for inference: the normalisation merged into the convolution, and its
+    /// weights packed.
     pub fn folded(mut self) -> Self {
         if let Some(bn) = self.bn.take() {
             let (weight, bias) = folded(self.conv.weight.val(), &bn);
             // Parameters start a graph of their own.
             self.conv.weight = Param::from_tensor(weight.detach());
             self.conv.bias = Some(Param::from_tensor(bias.detach()));
+            self.conv = self.conv.packed();
         }
         self
     }

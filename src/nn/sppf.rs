@@ -2,11 +2,13 @@
 
 use burn::config::Config;
 use burn::module::Module;
-use burn::nn::PaddingConfig2d;
-use burn::nn::pool::{MaxPool2d, MaxPool2dConfig};
 use burn::tensor::{Device, Tensor};
 
 use super::{ConvBlock, ConvBlockConfig};
+use crate::kernels;
+
+/// Side of the pooled windows.
+const POOL_SIZE: usize = 5;
 
 /// Settings of an [`Sppf`].
 #[derive(Config, Debug)]
@@ -22,7 +24,6 @@ pub struct Sppf {
     pub cv1: ConvBlock,
     /// 1x1 over the four stages.
     pub cv2: ConvBlock,
-    pool: MaxPool2d,
 }
 
 impl SppfConfig {
@@ -32,25 +33,20 @@ impl SppfConfig {
         Sppf {
             cv1: ConvBlockConfig::new(self.channels_in, hidden).init(device),
             cv2: ConvBlockConfig::new(4 * hidden, self.channels_out).init(device),
-            // The padding is minus infinity: SiLU's outputs can be negative.
-            pool: MaxPool2dConfig::new([5, 5])
-                .with_strides([1, 1])
-                .with_padding(PaddingConfig2d::Explicit(2, 2, 2, 2))
-                .init(),
         }
     }
 }
 
 impl Sppf {
     /// # Shapes
-    /// - input: `[batch, channels_in, height, width]`
-    /// - output: `[batch, channels_out, height, width]`
+    /// - input: `[batch, height, width, channels_in]`
+    /// - output: `[batch, height, width, channels_out]`
     pub fn forward(&self, input: Tensor<4>) -> Tensor<4> {
         let mut stages = vec![self.cv1.forward(input)];
         for stage in 0..3 {
-            stages.push(self.pool.forward(stages[stage].clone()));
+            stages.push(kernels::local_maximum(stages[stage].clone(), POOL_SIZE));
         }
-        self.cv2.forward(Tensor::cat(stages, 1))
+        self.cv2.forward_joined(stages, None)
     }
 
     /// Batch normalisation merged, for inference.
@@ -58,7 +54,6 @@ impl Sppf {
         Self {
             cv1: self.cv1.folded(),
             cv2: self.cv2.folded(),
-            pool: self.pool,
         }
     }
 }

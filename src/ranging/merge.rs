@@ -18,13 +18,15 @@ pub fn compose_convolutions(
     second: (Tensor<4>, Tensor<1>),
 ) -> (Tensor<4>, Tensor<1>) {
     let [channels_out, hidden, kernel, _] = second.0.dims();
-    let images = first.0.swap_dims(0, 1); // [channels_in, hidden, k1, k1]
+    // The first kernel's input channels become images: [channels_in, k1, k1, hidden].
+    let images = first.0.permute([1, 2, 3, 0]);
     let geometry = ConvGeometry {
         stride: 1,
         padding: kernel - 1,
         groups: 1,
     };
-    let weight = kernels::conv2d(images, second.0.clone().flip([2, 3]), geometry).swap_dims(0, 1);
+    let weight =
+        kernels::conv2d(images, second.0.clone().flip([2, 3]), geometry).permute([3, 0, 1, 2]);
     let sums = second
         .0
         .sum_dim(3)

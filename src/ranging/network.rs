@@ -145,14 +145,16 @@ impl RangingNetwork {
             padding: 0,
             groups: 1,
         };
+        let composite = kernels::pixels(composite);
         let x = kernels::conv2d_act(composite, weight, bias, geometry, Activation::None);
         let mut x = kernels::twin_pool(x, TwinInput::Shared); // maximum first, then average
-        let mut blocks = vec![x.clone()];
+        let mut blocks = vec![kernels::planes(x.clone())];
         for block in &self.blocks[1..] {
             x = block.iter().fold(x, |x, layer| layer.forward(x));
             x = kernels::twin_pool(x, TwinInput::Stacked);
-            blocks.push(x.clone());
+            blocks.push(kernels::planes(x.clone()));
         }
+        let x = kernels::planes(x);
         let [_, channels, height, width] = x.dims();
         let side = channels * height * width;
         let a = x.clone().narrow(0, 0, batch).reshape([batch, side]);

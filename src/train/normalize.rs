@@ -20,7 +20,7 @@ const LEAST_SPREAD: f64 = 1e-6;
 /// do not.
 pub fn normalize_layers(mut network: RangingNetwork, composites: Tensor<4>) -> RangingNetwork {
     let [batch, ..] = composites.dims();
-    let mut x = composites;
+    let mut x = kernels::pixels(composites);
     let blocks = std::mem::take(&mut network.blocks);
     for (index, block) in blocks.into_iter().enumerate() {
         let mut layers = Vec::with_capacity(block.len());
@@ -37,6 +37,7 @@ pub fn normalize_layers(mut network: RangingNetwork, composites: Tensor<4>) -> R
         };
         x = kernels::twin_pool(x, input);
     }
+    let x = kernels::planes(x);
     let [_, channels, height, width] = x.dims();
     let half = |start: usize| {
         x.clone()
@@ -56,17 +57,17 @@ pub fn normalize_layers(mut network: RangingNetwork, composites: Tensor<4>) -> R
 /// Normalises a convolution's channels; also returns its new output.
 fn normalize_conv(mut layer: Conv, input: Tensor<4>) -> (Conv, Tensor<4>) {
     let output = layer.forward(input);
-    let [_, channels, ..] = output.dims();
+    let [batch, height, width, channels] = output.dims();
     let rows = output
         .clone()
-        .swap_dims(0, 1)
-        .reshape([channels as i32, -1]);
+        .reshape([batch * height * width, channels])
+        .swap_dims(0, 1);
     let (mean, factor) = moments(rows, 1);
     layer.weight = scaled(layer.weight, factor.clone().reshape([channels, 1, 1, 1]));
     layer.bias = layer
         .bias
         .map(|bias| shifted(bias, mean.clone(), factor.clone()));
-    let shape = [1, channels, 1, 1];
+    let shape = [1, 1, 1, channels];
     (
         layer,
         (output - mean.reshape(shape)) * factor.reshape(shape),

@@ -7,6 +7,7 @@ use burn::tensor::Tensor;
 use burn::tensor::activation::softmax;
 use twinsight::detector::decode::expected_sides;
 use twinsight::detector::{Head, Yolo11};
+use twinsight::kernels;
 use twinsight::nn::{Attention, Bottleneck, C2psa, C3k, C3k2, ConvBlock, PsaBlock, Sppf};
 
 use super::network;
@@ -18,11 +19,20 @@ pub struct Trace {
     pub summaries: BTreeMap<String, Vec<f64>>,
 }
 
+/// Runs a block, whose tensors end with their channels, on `[batch, channels, height, width]`.
+pub fn on_planes(block: impl Fn(Tensor<4>) -> Tensor<4>, input: Tensor<4>) -> Tensor<4> {
+    kernels::planes(block(kernels::pixels(input)))
+}
+
 impl Trace {
     /// Runs a detector and then all of its parts on their own.
     pub fn of(detector: &Yolo11, input: &Tensor<4>) -> Self {
         let mut layers = vec![input.clone()];
-        let raw = detector.forward_observed(input.clone(), |_, output| layers.push(output.clone()));
+        let mut outputs = BTreeMap::new();
+        let raw = detector.forward_observed(input.clone(), |layer, output| {
+            outputs.insert(layer, output.clone());
+        });
+        layers.extend(outputs.into_values());
         // Layer N reads what the layer before it has made, save for the head.
         let input = |layer: usize| layers[layer].clone();
         let mut trace = Self::default();
@@ -68,11 +78,11 @@ impl Trace {
     }
 
     fn conv_block(&mut self, path: &str, block: &ConvBlock, input: Tensor<4>) -> Tensor<4> {
-        let convolved = block.conv.forward(input.clone());
+        let convolved = on_planes(|x| block.conv.forward(x), input.clone());
         self.note(&format!("{path}.conv"), &convolved);
         let normalisation = block.bn.as_ref().unwrap();
         self.note(&format!("{path}.bn"), &normalisation.forward(convolved));
-        let output = block.forward(input);
+        let output = on_planes(|x| block.forward(x), input);
         self.note(path, &output);
         output
     }
@@ -86,7 +96,7 @@ impl Trace {
     fn bottleneck(&mut self, path: &str, block: &Bottleneck, input: Tensor<4>) -> Tensor<4> {
         let hidden = self.conv_block(&format!("{path}.cv1"), &block.cv1, input.clone());
         self.conv_block(&format!("{path}.cv2"), &block.cv2, hidden);
-        let output = block.forward(input);
+        let output = on_planes(|x| block.forward(x), input);
         self.note(path, &output);
         output
     }
@@ -100,7 +110,7 @@ impl Trace {
         let past = self.conv_block(&format!("{path}.cv2"), &block.cv2, input.clone());
         let both = Tensor::cat(vec![deep, past], 1);
         self.conv_block(&format!("{path}.cv3"), &block.cv3, both);
-        let output = block.forward(input);
+        let output = on_planes(|x| block.forward(x), input);
         self.note(path, &output);
         output
     }
@@ -147,7 +157,7 @@ impl Trace {
         let positions = self.conv_block(&format!("{path}.pe"), &block.pe, values);
         let sum = attended.reshape([batch, channels, height, width]) + positions;
         self.conv_block(&format!("{path}.proj"), &block.proj, sum);
-        let output = block.forward(input);
+        let output = on_planes(|x| block.forward(x), input);
         self.note(path, &output);
         output
     }
@@ -156,7 +166,7 @@ impl Trace {
         let x = self.attention(&format!("{path}.attn"), &block.attn, input.clone()) + input.clone();
         let ffn = self.conv_blocks(&format!("{path}.ffn"), &block.ffn, x);
         self.note(&format!("{path}.ffn"), &ffn);
-        let output = block.forward(input);
+        let output = on_planes(|x| block.forward(x), input);
         self.note(path, &output);
         output
     }
@@ -178,7 +188,7 @@ impl Trace {
             let (boxes, classes) = (&head.cv2[level], &head.cv3[level]);
             let branch = format!("{path}.cv2.{level}");
             let x = self.conv_blocks(&branch, &boxes.blocks, input.clone());
-            let x = boxes.out.forward(x);
+            let x = on_planes(|x| boxes.out.forward(x), x);
             self.note(&format!("{branch}.2"), &x);
             self.note(&branch, &x);
             let branch = format!("{path}.cv3.{level}");
@@ -192,7 +202,7 @@ impl Trace {
                     self.note(&pair_path, &x);
                     x
                 });
-            let x = classes.out.forward(x);
+            let x = on_planes(|x| classes.out.forward(x), x);
             self.note(&format!("{branch}.2"), &x);
             self.note(&branch, &x);
         }
