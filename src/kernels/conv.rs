@@ -340,7 +340,6 @@ impl Pointwise<'_> {
         for (run, source) in runs.iter_mut().zip(self.sources) {
             let pixels = &source.pixels;
             let channels = pixels.channels;
-            run.len = channels;
             if source.doubled {
                 let (taken, rest) = free.split_at_mut(len * channels);
                 free = rest;
@@ -350,12 +349,10 @@ impl Pointwise<'_> {
                     let (y, x) = (position / self.width, position % self.width);
                     target.copy_from_slice(pixels.pixel(self.image, y / 2, x / 2));
                 }
-                run.input = taken.as_ptr();
-                run.stride = channels;
+                *run = Run::new(taken.as_ptr(), channels, channels);
             } else {
                 let start = pixels.offset(self.image, 0, self.positions.start);
-                run.input = pixels.data[start..].as_ptr();
-                run.stride = pixels.pixel_stride;
+                *run = Run::new(pixels.data[start..].as_ptr(), pixels.pixel_stride, channels);
             }
         }
         runs
@@ -372,7 +369,7 @@ impl Pointwise<'_> {
             let part = part(len, index, tiles);
             let mut runs = *runs;
             for run in &mut runs[..self.sources.len()] {
-                run.input = run.input.wrapping_add(part.start * run.stride);
+                *run = run.skip(part.start);
             }
             let position = self.positions.start + part.start;
             let first = (self.image * self.area + position) * channels_out + panel.first;
@@ -391,7 +388,8 @@ impl Pointwise<'_> {
                 };
                 let runs = &runs[..self.sources.len()];
                 let weights = panel.weights.as_ptr();
-                simd::product::<S, V>(simd, part.len(), runs, weights, &mut tile);
+                let step = V * S::F32_LANES;
+                simd::product::<S, V>(simd, part.len(), runs, 1, weights, step, &mut tile);
                 let activation = self.epilogue.activation;
                 store(
                     simd,
@@ -557,11 +555,8 @@ impl Band<'_> {
                 let mut runs = [Run::default(); MAX_KERNEL];
                 for (ky, run) in runs[..kernel_h].iter_mut().enumerate() {
                     let pixel = (row * stride + ky) * self.pitch + part.start * stride;
-                    *run = Run {
-                        input: self.input[pixel * self.channels..].as_ptr(),
-                        stride: stride * self.channels,
-                        len: kernel_w * self.channels,
-                    };
+                    let input = self.input[pixel * self.channels..].as_ptr();
+                    *run = Run::new(input, stride * self.channels, kernel_w * self.channels);
                 }
                 let x = origin[1] + step * part.start;
                 let pixel = (self.image * height + y) * width + x;
@@ -578,7 +573,8 @@ impl Band<'_> {
                         residual,
                     };
                     let (runs, weights) = (&runs[..kernel_h], panel.weights.as_ptr());
-                    simd::product::<S, V>(simd, part.len(), runs, weights, &mut tile);
+                    let step = V * S::F32_LANES;
+                    simd::product::<S, V>(simd, part.len(), runs, 1, weights, step, &mut tile);
                     let activation = self.epilogue.activation;
                     store(
                         simd,

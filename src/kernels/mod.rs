@@ -18,6 +18,8 @@
     reason = "vector loads and disjoint parallel stores; each block says why it is sound"
 )]
 
+#[cfg(target_arch = "x86_64")]
+mod avx512;
 pub mod conv;
 pub mod depthwise;
 mod extension;

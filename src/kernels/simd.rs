@@ -3,6 +3,9 @@
 
 use pulp::Simd;
 
+#[cfg(target_arch = "x86_64")]
+use super::avx512;
+
 /// Vectors of output channels in a full tile of a product.
 pub const TILE_VECTORS: usize = 2;
 /// Positions of the largest tile.
@@ -79,43 +82,62 @@ pub fn store<S: Simd>(simd: S, target: &mut [f32], values: S::f32s) {
 
 /// A run of input values that enter a product one after the other, the same for every position.
 #[derive(Debug, Clone, Copy)]
+#[repr(C)]
 pub struct Run {
     /// First value for the tile's first position.
-    pub input: *const f32,
-    /// Distance of two positions' values.
-    pub stride: usize,
-    /// Values of each position.
-    pub len: usize,
+    input: *const f32,
+    /// Distance of two positions' values, bytes.
+    stride: usize,
+    /// Steps.
+    len: usize,
 }
 
-impl Default for Run {
-    fn default() -> Self {
+impl Run {
+    /// `len` steps; the values of two positions lie `stride` floats apart.
+    pub fn new(input: *const f32, stride: usize, len: usize) -> Self {
         Self {
-            input: std::ptr::null(),
-            stride: 0,
-            len: 0,
+            input,
+            stride: stride * size_of::<f32>(),
+            len,
+        }
+    }
+
+    /// The same run so many positions further on.
+    pub fn skip(self, positions: usize) -> Self {
+        Self {
+            input: self.input.wrapping_byte_add(positions * self.stride),
+            ..self
         }
     }
 }
 
+impl Default for Run {
+    fn default() -> Self {
+        Self::new(std::ptr::null(), 0, 0)
+    }
+}
+
 /// One tile of a product: `tile[p, v] = sum_k input[p, k] * weights[k, v]` for `P` positions and `V`
-/// vectors of output channels; `k` counts through all runs. The tile is stored row by row.
+/// vectors of output channels; `k` counts through the steps of all runs. The tile is stored row
+/// by row.
 ///
 /// # Safety
-/// Every run must be readable for `P` positions, `weights` for as many rows of `V` vectors as the
-/// runs have values, and `tile` must hold `P` rows of `V` vectors.
+/// As [`product`].
 #[inline(always)]
 unsafe fn product_tile<S: Simd, const P: usize, const V: usize>(
     simd: S,
     runs: &[Run],
+    input_step: usize,
     mut weights: *const f32,
+    weight_step: usize,
     tile: &mut [f32],
 ) {
     let mut sums = [[simd.splat_f32s(0.0); V]; P];
     for run in runs {
         let mut input = run.input;
         for _ in 0..run.len {
-            // SAFETY: in bounds by the caller's promise; the reads are unaligned.
+            // SAFETY: in bounds by the caller's promise; the reads are unaligned. The last step
+            // may lead past the end, where nothing is read any more.
             unsafe {
                 let mut row = [simd.splat_f32s(0.0); V];
                 for (v, vector) in row.iter_mut().enumerate() {
@@ -125,14 +147,14 @@ unsafe fn product_tile<S: Simd, const P: usize, const V: usize>(
                         .read_unaligned();
                 }
                 for p in 0..P {
-                    let value = simd.splat_f32s(*input.add(p * run.stride));
+                    let value = simd.splat_f32s(*input.byte_add(p * run.stride));
                     for v in 0..V {
                         sums[p][v] = simd.mul_add_f32s(value, row[v], sums[p][v]);
                     }
                 }
-                input = input.add(1);
-                weights = weights.add(V * S::F32_LANES);
             }
+            input = input.wrapping_add(input_step);
+            weights = weights.wrapping_add(weight_step);
         }
     }
     for (row, sums) in tile.chunks_exact_mut(V * S::F32_LANES).zip(&sums) {
@@ -140,23 +162,53 @@ unsafe fn product_tile<S: Simd, const P: usize, const V: usize>(
     }
 }
 
-/// [`product_tile`] for any number of positions up to [`tile_positions`].
+/// One tile of a product: `tile[p, v] = sum_k input[p, k] * weights[k, v]` for up to
+/// [`tile_positions`] positions and `V` vectors of output channels; `k` counts through the steps of
+/// all runs. A step's values lie `input_step` and `weight_step` floats behind the last one's.
 ///
 /// # Safety
-/// As [`product_tile`].
+/// Every run must be readable for all positions at all its steps, and `weights` for `V` vectors at
+/// as many steps as the runs have.
 #[inline(always)]
+#[allow(clippy::too_many_arguments, reason = "two streams and where they meet")]
 pub unsafe fn product<S: Simd, const V: usize>(
     simd: S,
     positions: usize,
     runs: &[Run],
+    input_step: usize,
     weights: *const f32,
+    weight_step: usize,
     tile: &mut [f32],
 ) {
+    assert!(
+        tile.len() >= positions * V * S::F32_LANES && !runs.is_empty(),
+        "a tile has room for its sums, and something to sum"
+    );
+    #[cfg(target_arch = "x86_64")]
+    if S::F32_LANES == 16 && V <= TILE_VECTORS {
+        // SAFETY: vectors of 16 floats exist with AVX-512 only, which was found at run time; the
+        // tile's room was checked, the rest is the caller's promise.
+        unsafe {
+            avx512::TILES[V - 1][positions - 1](
+                runs.as_ptr(),
+                runs.len(),
+                input_step * size_of::<f32>(),
+                weights,
+                weight_step * size_of::<f32>(),
+                tile.as_mut_ptr(),
+            );
+        }
+        return;
+    }
     macro_rules! choose {
         ($($count:literal)*) => {
             match positions {
                 // SAFETY: by the caller's promise.
-                $($count => unsafe { product_tile::<S, $count, V>(simd, runs, weights, tile) },)*
+                $($count => unsafe {
+                    product_tile::<S, $count, V>(
+                        simd, runs, input_step, weights, weight_step, tile,
+                    );
+                },)*
                 _ => unreachable!("tiles have 1 to {MAX_POSITIONS} positions"),
             }
         };
@@ -164,66 +216,16 @@ pub unsafe fn product<S: Simd, const V: usize>(
     choose!(1 2 3 4 5 6 7 8 9 10 11 12 13 14);
 }
 
-/// One tile of sums of outer products: `tile[r, v] += sum_p input[p * input_step + r] * grads[p *
-/// grad_step + v]` for `R` neighbouring input values and `V` vectors.
+/// One tile of sums of outer products: `sums[r, v] += sum_p input[p * input_step + r] * grads[p *
+/// grad_step + v]` for up to [`tile_positions`] neighbouring input values and `V` vectors.
 ///
 /// # Safety
-/// `input` must be readable for `R` values and `grads` for `V` vectors at each of `len` positions;
-/// `tile` must be readable and writable for `R` rows of `V` vectors at distance `tile_stride`.
+/// `input` must be readable for `rows` values and `grads` for `V` vectors at each of `len`
+/// positions; `sums` must be readable and writable for `rows` rows of `V` vectors at distance
+/// `sum_stride`.
 #[inline(always)]
 #[allow(clippy::too_many_arguments, reason = "two streams and where they meet")]
-unsafe fn outer_tile<S: Simd, const R: usize, const V: usize>(
-    simd: S,
-    mut input: *const f32,
-    input_step: usize,
-    mut grads: *const f32,
-    grad_step: usize,
-    len: usize,
-    tile: *mut f32,
-    tile_stride: usize,
-) {
-    let mut sums = [[simd.splat_f32s(0.0); V]; R];
-    for _ in 0..len {
-        // SAFETY: in bounds by the caller's promise; the reads are unaligned.
-        unsafe {
-            let mut row = [simd.splat_f32s(0.0); V];
-            for (v, vector) in row.iter_mut().enumerate() {
-                *vector = grads
-                    .add(v * S::F32_LANES)
-                    .cast::<S::f32s>()
-                    .read_unaligned();
-            }
-            for r in 0..R {
-                let value = simd.splat_f32s(*input.add(r));
-                for v in 0..V {
-                    sums[r][v] = simd.mul_add_f32s(value, row[v], sums[r][v]);
-                }
-            }
-            // The last step may lead past the end, where nothing is read any more.
-            input = input.wrapping_add(input_step);
-            grads = grads.wrapping_add(grad_step);
-        }
-    }
-    for (r, sums) in sums.iter().enumerate() {
-        for (v, &sum) in sums.iter().enumerate() {
-            // SAFETY: in bounds by the caller's promise.
-            unsafe {
-                let target = tile
-                    .add(r * tile_stride + v * S::F32_LANES)
-                    .cast::<S::f32s>();
-                target.write_unaligned(simd.add_f32s(target.read_unaligned(), sum));
-            }
-        }
-    }
-}
-
-/// [`outer_tile`] for any number of rows up to [`tile_positions`].
-///
-/// # Safety
-/// As [`outer_tile`].
-#[inline(always)]
-#[allow(clippy::too_many_arguments, reason = "two streams and where they meet")]
-pub unsafe fn outer<S: Simd, const V: usize>(
+pub unsafe fn add_outer<S: Simd, const V: usize>(
     simd: S,
     rows: usize,
     input: *const f32,
@@ -231,23 +233,27 @@ pub unsafe fn outer<S: Simd, const V: usize>(
     grads: *const f32,
     grad_step: usize,
     len: usize,
-    tile: *mut f32,
-    tile_stride: usize,
+    sums: *mut f32,
+    sum_stride: usize,
 ) {
-    macro_rules! choose {
-        ($($count:literal)*) => {
-            match rows {
-                // SAFETY: by the caller's promise.
-                $($count => unsafe {
-                    outer_tile::<S, $count, V>(
-                        simd, input, input_step, grads, grad_step, len, tile, tile_stride,
-                    )
-                },)*
-                _ => unreachable!("tiles have 1 to {MAX_POSITIONS} rows"),
-            }
-        };
+    let mut tile = [0.0_f32; MAX_TILE];
+    // SAFETY: by the caller's promise: the values of a position are neighbours.
+    unsafe {
+        let runs = [Run::new(input, 1, len)];
+        product::<S, V>(simd, rows, &runs, input_step, grads, grad_step, &mut tile);
     }
-    choose!(1 2 3 4 5 6 7 8 9 10 11 12 13 14);
+    for (r, tile) in tile.chunks_exact(V * S::F32_LANES).take(rows).enumerate() {
+        for (v, values) in tile.chunks_exact(S::F32_LANES).enumerate() {
+            // SAFETY: in bounds by the caller's promise.
+            unsafe {
+                let target = sums
+                    .add(r * sum_stride + v * S::F32_LANES)
+                    .cast::<S::f32s>();
+                let sum = simd.add_f32s(target.read_unaligned(), load(simd, values));
+                target.write_unaligned(sum);
+            }
+        }
+    }
 }
 
 /// `e^x` to about 2 units in the last place, in arithmetic that vectorises.

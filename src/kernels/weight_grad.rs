@@ -221,11 +221,11 @@ impl Band<'_> {
                     // whole vectors of gradients, and the sums whole vectors of channels.
                     unsafe {
                         if single {
-                            simd::outer::<S, 1>(
+                            simd::add_outer::<S, 1>(
                                 simd, rows, input, step, grads, stride, len, sums, width,
                             );
                         } else {
-                            simd::outer::<S, TILE_VECTORS>(
+                            simd::add_outer::<S, TILE_VECTORS>(
                                 simd, rows, input, step, grads, stride, len, sums, width,
                             );
                         }

@@ -334,16 +334,14 @@ impl Panels<'_> {
             for index in 0..parts {
                 let part = part(count, index, parts);
                 let start = point * count + part.start;
-                let runs = [Run {
-                    input: self.points[start * self.width..].as_ptr(),
-                    stride: self.width,
-                    len: channels_in,
-                }];
+                let input = self.points[start * self.width..].as_ptr();
+                let runs = [Run::new(input, self.width, channels_in)];
                 let products = &mut products[start * V * lanes..][..part.len() * V * lanes];
                 // SAFETY: `points` holds `width >= channels_in` values for every tile, and the
                 // weights a row for each of them.
                 unsafe {
-                    simd::product::<S, V>(simd, part.len(), &runs, weights.as_ptr(), products);
+                    let (weights, step) = (weights.as_ptr(), V * lanes);
+                    simd::product::<S, V>(simd, part.len(), &runs, 1, weights, step, products);
                 }
             }
         }

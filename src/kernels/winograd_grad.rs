@@ -160,7 +160,7 @@ impl pulp::WithSimd for Block<'_> {
                     // vectors of gradients at this point; the sums hold whole vectors too.
                     unsafe {
                         if single {
-                            simd::outer::<S, 1>(
+                            simd::add_outer::<S, 1>(
                                 simd,
                                 rows,
                                 inputs,
@@ -172,7 +172,7 @@ impl pulp::WithSimd for Block<'_> {
                                 width,
                             );
                         } else {
-                            simd::outer::<S, TILE_VECTORS>(
+                            simd::add_outer::<S, TILE_VECTORS>(
                                 simd,
                                 rows,
                                 inputs,
