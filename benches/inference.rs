@@ -70,7 +70,9 @@ fn detector_case(scale: Scale, device: &Device) -> Result<Timing> {
 }
 
 fn distance_case(device: &Device) -> Result<Timing> {
-    let network = RangingConfig::for_size(CompositeSize::FULL).init(device)?;
+    let network = RangingConfig::for_size(CompositeSize::FULL)
+        .init(device)?
+        .packed();
     let composite = Tensor::<4>::random([1, 3, 828, 414], Distribution::Uniform(0.0, 1.0), device);
     let geometry = Tensor::<2>::full([1, 2], 0.1, device);
     measure("distance_1x3x828x414", || {

@@ -65,7 +65,7 @@ impl DistanceEstimator {
     pub fn new(network: &RangingNetwork, header: RangingHeader, device: &Device) -> Self {
         let device = device.clone().without_autodiff();
         Self {
-            network: network.valid(),
+            network: network.valid().packed(),
             header,
             device,
         }

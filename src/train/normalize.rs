@@ -47,11 +47,9 @@ pub fn normalize_layers(mut network: RangingNetwork, composites: Tensor<4>) -> R
     let flat = Tensor::cat(vec![half(0), half(batch)], 1);
     let (fc1, output) = normalize_dense(network.fc1, flat);
     let (fc2, _) = normalize_dense(network.fc2, relu(output));
-    RangingNetwork {
-        fc1,
-        fc2,
-        ..network
-    }
+    network.fc1 = fc1;
+    network.fc2 = fc2;
+    network
 }
 
 /// Normalises a convolution's channels; also returns its new output.
