@@ -12,8 +12,9 @@
 //!   |  letterbox to multiples of 32                   [`geometry::letterbox`]
 //!   |  YOLO11, decode, suppress                       [`detector`], [`nn`], [`kernels`]
 //!   v
-//! boxes in both images
-//!   |  same rows, positive disparity, best overall    [`pairing`]
+//! boxes in both images, or in the left one
+//!   |  same rows, positive disparity, best overall,   [`pairing`]
+//!   |  or most alike pixels in the right image        [`pairing::search`]
 //!   v
 //! pairs of boxes
 //!   |  right crop above left crop, box size           [`dataset::composite()`]

@@ -1,9 +1,21 @@
-//! Which detection of the left image is the same vehicle as which one of the right image.
+//! Which box of the right image is the same vehicle as a detection of the left image.
 //!
 //! In a rectified rig the two boxes of a vehicle lie on the same rows, are of about the same size,
-//! and the left one lies further right by the disparity `focal_px * baseline_m / z`. Of all
-//! one-to-one assignments that obey this, the one with the largest sum of affinities is taken, so
-//! that an early choice never takes away a better partner.
+//! and the left one lies further right by the disparity `focal_px * baseline_m / z`. There are two
+//! ways to the right box, see [`PairingMode`]:
+//!
+//! * [`pair`] chooses among the detections of the right image. Of all one-to-one assignments that
+//!   obey the geometry, the one with the largest sum of affinities is taken, so that an early choice
+//!   never takes away a better partner.
+//! * [`search`](search::search) finds it in the pixels of the right image, where no detector needs
+//!   to run.
+
+mod correlation;
+pub mod search;
+
+use std::fmt;
+use std::ops::RangeInclusive;
+use std::str::FromStr;
 
 use pathfinding::kuhn_munkres::kuhn_munkres;
 use pathfinding::matrix::Matrix;
@@ -14,6 +26,52 @@ use crate::geometry::{Camera, StereoRig};
 
 /// Affinities are compared in whole steps of this size, because the assignment wants integers.
 const AFFINITY_STEPS: f64 = 1e6;
+
+/// How the box of a vehicle in the right image is found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PairingMode {
+    /// The detector runs on both images, and its boxes are assigned to each other: both images are
+    /// witnesses.
+    #[default]
+    Detect,
+    /// The detector runs on the left image alone, and its boxes are looked for in the right one:
+    /// half the detector's cost, and a disparity from pixels instead of two boxes.
+    Search,
+}
+
+impl PairingMode {
+    /// All modes.
+    pub const ALL: [Self; 2] = [Self::Detect, Self::Search];
+
+    /// The word that people write for it.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Detect => "detect",
+            Self::Search => "search",
+        }
+    }
+}
+
+impl fmt::Display for PairingMode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.word())
+    }
+}
+
+impl FromStr for PairingMode {
+    type Err = String;
+
+    fn from_str(word: &str) -> Result<Self, String> {
+        Self::ALL
+            .into_iter()
+            .find(|mode| mode.word() == word)
+            .ok_or_else(|| {
+                let words = Self::ALL.map(Self::word).join(", ");
+                format!("'{word}' is none of {words}")
+            })
+    }
+}
 
 /// What two boxes of one vehicle have in common.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -43,6 +101,13 @@ impl Default for PairingConfig {
             least_side_m: 0.5,
             largest_side_m: 40.0,
         }
+    }
+}
+
+impl PairingConfig {
+    /// How far boxes may lie from where they should, given their side along that axis; pixels.
+    fn slack(&self, side: f64) -> f64 {
+        self.slack_px + self.slack_fraction * side
     }
 }
 
@@ -193,8 +258,7 @@ fn affinity(
     let ratio = |a: f64, b: f64| a.min(b) / a.max(b);
     let width_ratio = ratio(left.width, right.width);
     let height_ratio = ratio(left.height, right.height);
-    let slack = |side: f64| config.slack_px + config.slack_fraction * side;
-    let row_slack = slack(f64::midpoint(left.height, right.height));
+    let row_slack = config.slack(f64::midpoint(left.height, right.height));
     let row_difference = (left.y - right.y).abs();
     let is_alike = left.class == right.class
         && width_ratio >= config.least_size_ratio
@@ -206,16 +270,8 @@ fn affinity(
 
     let disparity = left.x - right.x;
     let width = f64::midpoint(left.width, right.width);
-    let side = width.max(f64::midpoint(left.height, right.height));
-    let disparity_slack = slack(width);
-    let largest = rig.disparity_px(config.least_depth_m);
-    // A side of `side` pixels and a disparity of d pixels make `side / d * baseline_m` metres, so
-    // the size of vehicles limits the disparity too.
-    let from_size = |side_m: f64| side * rig.baseline_m / side_m;
-    let is_possible = disparity > -disparity_slack
-        && disparity <= largest + disparity_slack
-        && disparity >= from_size(config.largest_side_m) - disparity_slack
-        && disparity <= from_size(config.least_side_m) + disparity_slack;
+    let height = f64::midpoint(left.height, right.height);
+    let is_possible = disparity_range(width, height, rig, config).contains(&disparity);
     // The row term halves at the edge of what is allowed and so never reaches 0.
     let row_term = if row_slack > 0.0 {
         1.0 - 0.5 * row_difference / row_slack
@@ -223,6 +279,24 @@ fn affinity(
         1.0
     };
     is_possible.then(|| row_term * (width_ratio * height_ratio).sqrt())
+}
+
+/// The disparities that a vehicle's box of this size may have, pixels of the left camera.
+///
+/// A side of `side` pixels and a disparity of d pixels make `side / d * baseline_m` metres, so the
+/// size of vehicles limits the disparity as the least depth does.
+fn disparity_range(
+    width: f64,
+    height: f64,
+    rig: &StereoRig,
+    config: &PairingConfig,
+) -> RangeInclusive<f64> {
+    let side = width.max(height);
+    let slack = config.slack(width);
+    let from_size = |side_m: f64| side * rig.baseline_m / side_m;
+    let nearest = rig.disparity_px(config.least_depth_m);
+    from_size(config.largest_side_m).max(0.0) - slack
+        ..=from_size(config.least_side_m).min(nearest) + slack
 }
 
 #[cfg(test)]
@@ -307,6 +381,17 @@ mod tests {
         let vehicles = street(&rig);
         let expected: Vec<_> = (0..vehicles.len()).map(|i| (i, i)).collect();
         assert_eq!(shuffled_pairs(&rig, &vehicles), expected);
+    }
+
+    #[test]
+    fn modes_are_known_by_their_words_to_people_and_to_files() {
+        for mode in PairingMode::ALL {
+            assert_eq!(mode.to_string().parse(), Ok(mode));
+            let json = serde_json::to_string(&mode).unwrap();
+            assert_eq!(json, format!("\"{mode}\""));
+        }
+        assert!("both".parse::<PairingMode>().is_err());
+        assert_eq!(PairingMode::default(), PairingMode::Detect);
     }
 
     #[test]

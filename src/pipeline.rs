@@ -11,7 +11,8 @@ use crate::detector::nms::NmsConfig;
 use crate::detector::{Detection, VehicleDetector};
 use crate::error::{Error, Result};
 use crate::geometry::{PixelBox, RigSettings, StereoRig};
-use crate::pairing::{PairingConfig, pair};
+use crate::pairing::search::search;
+use crate::pairing::{PairingConfig, PairingMode, pair};
 use crate::ranging::{DistanceEstimator, Sighting};
 use crate::train::StageFolder;
 
@@ -22,7 +23,9 @@ pub struct PredictOptions {
     pub confidence: f32,
     /// Boxes that overlap a better one by more than this intersection over union are dropped.
     pub iou: f64,
-    /// How left and right detections are paired.
+    /// Whether right boxes are detected or searched for.
+    pub pairing_mode: PairingMode,
+    /// What the two boxes of a vehicle have in common.
     pub pairing: PairingConfig,
 }
 
@@ -32,6 +35,7 @@ impl Default for PredictOptions {
         Self {
             confidence: nms.confidence,
             iou: nms.iou,
+            pairing_mode: PairingMode::default(),
             pairing: PairingConfig::default(),
         }
     }
@@ -44,7 +48,8 @@ pub struct Vehicle {
     pub left: PixelBox,
     /// Its box in the right image, pixels.
     pub right: PixelBox,
-    /// Mean confidence of the two detections, 0 to 1.
+    /// Mean confidence of the two detections, 0 to 1; that of the left one alone with
+    /// [`PairingMode::Search`].
     pub score: f32,
     /// Class name.
     pub class: String,
@@ -55,12 +60,21 @@ pub struct Vehicle {
 /// Time spent in each part of an estimate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct StageTimes {
-    /// Detector on both images, with letterboxing and suppression.
+    /// Detector on both images, or with [`PairingMode::Search`] on the left one, with letterboxing
+    /// and suppression.
     pub detect: Duration,
-    /// Pairing of left and right detections.
+    /// Pairing of left and right detections, or the search in the right image.
     pub pair: Duration,
     /// Crops and distance network.
     pub range: Duration,
+}
+
+/// A vehicle before its distance is known.
+#[derive(Debug, Clone, Copy)]
+struct Pair {
+    left: Detection,
+    right: PixelBox,
+    score: f32,
 }
 
 /// Finds vehicles in a stereo pair and says how far they are.
@@ -141,6 +155,11 @@ impl StereoRanger {
         self
     }
 
+    /// What counts as a detection, and as a pair.
+    pub fn options(&self) -> &PredictOptions {
+        &self.options
+    }
+
     /// The rig that the networks were trained for.
     pub fn rig(&self) -> &StereoRig {
         &self.detector.header().rig
@@ -190,28 +209,24 @@ impl StereoRanger {
             iou: self.options.iou,
             ..NmsConfig::prediction()
         };
-        let mut found = self.detector.detect(&[left, right], &nms)?.into_iter();
-        let (left_boxes, right_boxes) = (
-            found.next().unwrap_or_default(),
-            found.next().unwrap_or_default(),
-        );
+        let images = match self.options.pairing_mode {
+            PairingMode::Detect => &[left, right][..],
+            PairingMode::Search => &[left],
+        };
+        let found = self.detector.detect(images, &nms)?;
         let detect = started.elapsed();
 
         let started = Instant::now();
         let rig = self.rig_for(left.dimensions())?;
-        let pairs = pair(&left_boxes, &right_boxes, &rig, &self.options.pairing).pairs;
+        let pairs = self.pairs([left, right], found, &rig);
         let paired = started.elapsed();
 
         let started = Instant::now();
-        let pairs: Vec<(Detection, Detection)> = pairs
-            .into_iter()
-            .map(|(l, r, _)| (left_boxes[l], right_boxes[r]))
-            .collect();
         let sightings: Vec<Sighting> = pairs
             .iter()
-            .map(|(l, r)| Sighting {
+            .map(|pair| Sighting {
                 images: [left, right],
-                boxes: [l.box_pixel, r.box_pixel],
+                boxes: [pair.left.box_pixel, pair.right],
             })
             .collect();
         let distances_m = self.estimator.estimate(&sightings)?;
@@ -219,11 +234,11 @@ impl StereoRanger {
         let mut vehicles: Vec<Vehicle> = pairs
             .into_iter()
             .zip(distances_m)
-            .map(|((l, r), distance_m)| Vehicle {
-                left: l.box_pixel,
-                right: r.box_pixel,
-                score: f32::midpoint(l.score, r.score),
-                class: classes.get(l.class).cloned().unwrap_or_default(),
+            .map(|(pair, distance_m)| Vehicle {
+                left: pair.left.box_pixel,
+                right: pair.right,
+                score: pair.score,
+                class: classes.get(pair.left.class).cloned().unwrap_or_default(),
                 distance_m,
             })
             .collect();
@@ -236,6 +251,40 @@ impl StereoRanger {
                 range: started.elapsed(),
             },
         ))
+    }
+
+    /// The right box of each left detection that has one, given what the detector found in the
+    /// images that it ran on.
+    fn pairs(
+        &self,
+        images: [&RgbImage; 2],
+        found: Vec<Vec<Detection>>,
+        rig: &StereoRig,
+    ) -> Vec<Pair> {
+        let mut found = found.into_iter();
+        let left = found.next().unwrap_or_default();
+        let config = &self.options.pairing;
+        match self.options.pairing_mode {
+            PairingMode::Detect => {
+                let right = found.next().unwrap_or_default();
+                let pairs = pair(&left, &right, rig, config).pairs;
+                let joined = |(l, r, _): (usize, usize, f64)| Pair {
+                    left: left[l],
+                    right: right[r].box_pixel,
+                    score: f32::midpoint(left[l].score, right[r].score),
+                };
+                pairs.into_iter().map(joined).collect()
+            }
+            PairingMode::Search => search(images, &left, rig, config)
+                .partners
+                .into_iter()
+                .map(|partner| Pair {
+                    left: left[partner.left],
+                    right: partner.box_pixel,
+                    score: left[partner.left].score,
+                })
+                .collect(),
+        }
     }
 
     /// The trained rig at another resolution of the same field of view.

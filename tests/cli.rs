@@ -3,6 +3,8 @@
 
 #[path = "support/binary.rs"]
 mod binary;
+#[path = "cli/pairing.rs"]
+mod pairing;
 
 use std::fs;
 use std::path::Path;

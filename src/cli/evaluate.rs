@@ -6,6 +6,8 @@ use clap::Args;
 use twinsight::dataset::Split;
 use twinsight::device::DeviceName;
 use twinsight::evaluate::{EvaluateRequest, evaluate};
+use twinsight::pairing::PairingMode;
+use twinsight::pipeline::PredictOptions;
 use twinsight::{Error, Result};
 
 use super::{files, stdout, terminal, values};
@@ -30,6 +32,10 @@ pub struct EvaluateArgs {
     /// What to compute on; `twinsight devices` lists the choices
     #[arg(long, default_value_t = DeviceName::FLEX)]
     device: DeviceName,
+    /// How the pipeline finds boxes of the right image: `detect` runs the detector on both images,
+    /// `search` on the left one alone
+    #[arg(long, value_name = "HOW", value_parser = values::pairing_mode(), default_value_t = PredictOptions::default().pairing_mode)]
+    pairing: PairingMode,
     /// Write the figures to a JSON file as well
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -56,6 +62,7 @@ impl EvaluateArgs {
             data: &self.data,
             split: self.split,
             device: self.device,
+            pairing_mode: self.pairing,
         };
         let evaluation = terminal::with_progress(quiet, |progress| evaluate(&request, progress))?;
         if let Some(path) = &self.json {

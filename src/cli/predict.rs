@@ -8,6 +8,7 @@ use serde::Serialize;
 use twinsight::annotate::{Annotation, annotate_pair};
 use twinsight::device::DeviceName;
 use twinsight::imaging;
+use twinsight::pairing::PairingMode;
 use twinsight::pipeline::{PredictOptions, StereoRanger, Vehicle};
 use twinsight::{Error, Result};
 
@@ -34,6 +35,11 @@ pub struct PredictArgs {
     /// Least score of a vehicle, 0 to 1
     #[arg(long, value_parser = values::share, default_value_t = PredictOptions::default().confidence)]
     confidence: f32,
+    /// How boxes of the right image are found: `detect` runs the detector on both images and assigns
+    /// its boxes to each other, `search` runs it on the left image and looks for each box's pixels
+    /// in the right one, at half the detector's cost
+    #[arg(long, value_name = "HOW", value_parser = values::pairing_mode(), default_value_t = PredictOptions::default().pairing_mode)]
+    pairing: PairingMode,
     /// Write a PNG image of the pair with boxes and distances
     #[arg(long, value_name = "FILE")]
     annotate: Option<PathBuf>,
@@ -66,6 +72,7 @@ impl PredictArgs {
         let [left, right] = imaging::load_pair(&self.left, &self.right)?;
         let options = PredictOptions {
             confidence: self.confidence,
+            pairing_mode: self.pairing,
             ..PredictOptions::default()
         };
         let ranger = StereoRanger::load(&self.run, &self.device.open()?)?.with_options(options);

@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use twinsight::dataset::{BoxKind, Split};
+use twinsight::pairing::PairingMode;
 
 /// An image size, `WIDTHxHEIGHT`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +46,12 @@ pub fn box_kind() -> impl TypedValueParser<Value = BoxKind> {
 /// The splits that networks are judged by: `val` or `test`.
 pub fn split() -> impl TypedValueParser<Value = Split> {
     PossibleValuesParser::new(["val", "test"]).try_map(|word| word.parse::<Split>())
+}
+
+/// `detect` or `search`.
+pub fn pairing_mode() -> impl TypedValueParser<Value = PairingMode> {
+    PossibleValuesParser::new(PairingMode::ALL.map(PairingMode::word))
+        .try_map(|word| word.parse::<PairingMode>())
 }
 
 /// A path as it is typed in a shell.

@@ -11,7 +11,8 @@ use crate::dataset::{DetectionSource, Frame, Split, StereoDataset, StereoLabel};
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
 use crate::metrics::{DistanceErrors, DistanceSummary};
-use crate::pipeline::{StereoRanger, Vehicle};
+use crate::pairing::PairingMode;
+use crate::pipeline::{PredictOptions, StereoRanger, Vehicle};
 use crate::progress::Progress;
 use crate::ranging::Sighting;
 use crate::train::saved_config;
@@ -30,6 +31,8 @@ pub struct EvaluateRequest<'a> {
     pub split: Split,
     /// Where to compute.
     pub device: DeviceName,
+    /// How the pipeline finds boxes in the right image.
+    pub pairing_mode: PairingMode,
 }
 
 /// How good a run is on a split.
@@ -43,6 +46,8 @@ pub struct Evaluation {
     pub split: Split,
     /// Stereo frames evaluated.
     pub frames: usize,
+    /// How the pipeline found boxes in the right image.
+    pub pairing_mode: PairingMode,
     /// The detector on all images of the split.
     pub detection: DetectionFigures,
     /// The distance network on labelled boxes.
@@ -89,7 +94,10 @@ pub struct PipelineFigures {
 /// A run or dataset that cannot be used, an empty split, or a device that fails.
 pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Evaluation> {
     let device = request.device.open()?;
-    let ranger = StereoRanger::load(request.run, &device)?;
+    let ranger = StereoRanger::load(request.run, &device)?.with_options(PredictOptions {
+        pairing_mode: request.pairing_mode,
+        ..PredictOptions::default()
+    });
     let mut dataset = StereoDataset::open(request.data)?;
     if let Some(config) = saved_config(request.run)?
         && let Some(split) = config.split
@@ -151,6 +159,7 @@ pub fn evaluate_dataset(
         data: dataset.folder.clone(),
         split,
         frames: frames.len(),
+        pairing_mode: ranger.options().pairing_mode,
         detection: DetectionFigures {
             images: source.len(),
             targets: detection.targets,
@@ -261,7 +270,11 @@ impl fmt::Display for Evaluation {
             map50,
             map50_95,
         } = self.detection;
-        writeln!(f, "split {}: {} frames", self.split, self.frames)?;
+        writeln!(
+            f,
+            "split {}: {} frames, pairing {}",
+            self.split, self.frames, self.pairing_mode
+        )?;
         writeln!(f)?;
         writeln!(
             f,
