@@ -3,6 +3,7 @@
 //! Values are `[pixels, channels]`. Few channels are treated as several pixels side by side (a
 //! "row"), so that vectors are full whatever the number of channels.
 
+use pulp::Simd;
 use rayon::prelude::*;
 
 use super::conv::Activation;
@@ -50,25 +51,40 @@ fn for_row(values: &[f32]) -> Vec<f32> {
     values.repeat(row_pixels(values.len()))
 }
 
-/// Sums over pixels of what `add` adds up for each value of a row, one a channel and sum.
+/// Sums over pixels of what `add` adds up for each value of a row, one a channel and sum. `add` is
+/// called with the range of values of a task, the values' part of `output`, and the sums.
 fn channel_totals<const N: usize>(
     channels: usize,
+    output: &mut [f32],
     values: usize,
-    add: impl Fn(std::ops::Range<usize>, &mut [Vec<f32>; N]) + Sync,
+    add: impl Fn(std::ops::Range<usize>, &mut [f32], &mut [Vec<f32>; N]) + Sync,
 ) -> [Vec<f64>; N] {
     let task = task_values(channels);
     let row = row_pixels(channels) * channels;
-    let partial: Vec<[Vec<f32>; N]> = (0..values.div_ceil(task))
-        .into_par_iter()
-        .map(|index| {
-            let mut sums = [const { Vec::new() }; N];
-            for sums in &mut sums {
-                sums.resize(row, 0.0);
-            }
-            add(index * task..((index + 1) * task).min(values), &mut sums);
-            sums
-        })
-        .collect();
+    let run = |index: usize, output: &mut [f32]| {
+        let mut sums = [const { Vec::new() }; N];
+        for sums in &mut sums {
+            sums.resize(row, 0.0);
+        }
+        add(
+            index * task..((index + 1) * task).min(values),
+            output,
+            &mut sums,
+        );
+        sums
+    };
+    let partial: Vec<[Vec<f32>; N]> = if output.is_empty() {
+        (0..values.div_ceil(task))
+            .into_par_iter()
+            .map(|index| run(index, &mut []))
+            .collect()
+    } else {
+        output
+            .par_chunks_mut(task)
+            .enumerate()
+            .map(|(index, output)| run(index, output))
+            .collect()
+    };
     let mut totals = [const { Vec::new() }; N];
     for (n, totals) in totals.iter_mut().enumerate() {
         totals.resize(channels, 0.0);
@@ -81,15 +97,43 @@ fn channel_totals<const N: usize>(
     totals
 }
 
+/// Adds rows of values, less a value's mean and squared if there are means.
+struct AddRows<'a> {
+    values: &'a [f32],
+    means: Option<&'a [f32]>,
+    sums: &'a mut [f32],
+}
+
+impl pulp::WithSimd for AddRows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        for row in self.values.chunks(self.sums.len()) {
+            for first in (0..row.len()).step_by(S::F32_LANES) {
+                let end = row.len().min(first + S::F32_LANES);
+                let value = simd::load(simd, &row[first..end]);
+                let sum = simd::load(simd, &self.sums[first..end]);
+                let sum = match self.means {
+                    None => simd.add_f32s(sum, value),
+                    Some(means) => {
+                        let value = simd.sub_f32s(value, simd::load(simd, &means[first..end]));
+                        simd.mul_add_f32s(value, value, sum)
+                    }
+                };
+                simd::store(simd, &mut self.sums[first..end], sum);
+            }
+        }
+    }
+}
+
 /// Sum of each channel's values: a bias's gradient.
 pub fn channel_sums(channels: usize, values: &[f32]) -> Vec<f32> {
-    let [sums] = channel_totals(channels, values.len(), |range, [sums]| {
-        simd::vectorized(|| {
-            for row in values[range].chunks(sums.len()) {
-                for (sum, value) in sums.iter_mut().zip(row) {
-                    *sum += value;
-                }
-            }
+    let [sums] = channel_totals(channels, &mut [], values.len(), |range, _, [sums]| {
+        pulp::Arch::new().dispatch(AddRows {
+            values: &values[range],
+            means: None,
+            sums,
         });
     });
     sums.into_iter().map(|sum| sum as f32).collect()
@@ -100,29 +144,53 @@ pub fn statistics(channels: usize, input: &[f32]) -> BatchStatistics {
     let count = (input.len() / channels) as f64;
     let average =
         |sums: &[f64]| -> Vec<f32> { sums.iter().map(|sum| (sum / count) as f32).collect() };
-    let [sums] = channel_totals(channels, input.len(), |range, [sums]| {
-        simd::vectorized(|| {
-            for row in input[range].chunks(sums.len()) {
-                for (sum, value) in sums.iter_mut().zip(row) {
-                    *sum += value;
-                }
-            }
+    let totals = |means: Option<&[f32]>| {
+        let [sums] = channel_totals(channels, &mut [], input.len(), |range, _, [sums]| {
+            pulp::Arch::new().dispatch(AddRows {
+                values: &input[range],
+                means,
+                sums,
+            });
         });
-    });
-    let mean = average(&sums);
-    let means = for_row(&mean);
-    let [squares] = channel_totals(channels, input.len(), |range, [sums]| {
-        simd::vectorized(|| {
-            for row in input[range].chunks(sums.len()) {
-                for ((sum, value), mean) in sums.iter_mut().zip(row).zip(&means) {
-                    *sum += (value - mean) * (value - mean);
-                }
+        average(&sums)
+    };
+    let mean = totals(None);
+    let variance = totals(Some(&for_row(&mean)));
+    BatchStatistics { mean, variance }
+}
+
+/// `activation(x scale + shift)`, row by row.
+struct Activate<'a> {
+    input: &'a [f32],
+    scale: &'a [f32],
+    shift: &'a [f32],
+    activation: Activation,
+    output: &'a mut [f32],
+}
+
+impl pulp::WithSimd for Activate<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let zero = simd.splat_f32s(0.0);
+        let row = self.scale.len();
+        for (output, input) in self.output.chunks_mut(row).zip(self.input.chunks(row)) {
+            for first in (0..input.len()).step_by(S::F32_LANES) {
+                let end = input.len().min(first + S::F32_LANES);
+                let u = simd.mul_add_f32s(
+                    simd::load(simd, &input[first..end]),
+                    simd::load(simd, &self.scale[first..end]),
+                    simd::load(simd, &self.shift[first..end]),
+                );
+                let y = match self.activation {
+                    Activation::None => u,
+                    Activation::Relu => simd.max_f32s(u, zero),
+                    Activation::Silu => simd.mul_f32s(u, simd::sigmoid_vector(simd, u)),
+                };
+                simd::store(simd, &mut output[first..end], y);
             }
-        });
-    });
-    BatchStatistics {
-        mean,
-        variance: average(&squares),
+        }
     }
 }
 
@@ -149,25 +217,115 @@ pub fn forward(
         .par_chunks_mut(task)
         .zip(input.par_chunks(task))
         .for_each(|(output, input)| {
-            simd::vectorized(|| {
-                let rows = output
-                    .chunks_mut(scale.len())
-                    .zip(input.chunks(scale.len()));
-                for (output, input) in rows {
-                    for (((y, x), scale), shift) in
-                        output.iter_mut().zip(input).zip(&scale).zip(&shift)
-                    {
-                        let u = x * scale + shift;
-                        *y = match activation {
-                            Activation::None => u,
-                            Activation::Relu => u.max(0.0),
-                            Activation::Silu => u * simd::sigmoid(u),
-                        };
-                    }
-                }
+            pulp::Arch::new().dispatch(Activate {
+                input,
+                scale: &scale,
+                shift: &shift,
+                activation,
+                output,
             });
         });
     output
+}
+
+/// The gradient before the activation and its two sums: `d` itself, and `d (x - mean)`.
+struct ActivateGrad<'a> {
+    input: &'a [f32],
+    grad: &'a [f32],
+    scale: &'a [f32],
+    shift: &'a [f32],
+    means: &'a [f32],
+    activation: Activation,
+    output: &'a mut [f32],
+    sums: &'a mut [f32],
+    dots: &'a mut [f32],
+}
+
+impl pulp::WithSimd for ActivateGrad<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
+        let row = self.scale.len();
+        let rows = self
+            .output
+            .chunks_mut(row)
+            .zip(self.input.chunks(row).zip(self.grad.chunks(row)));
+        for (output, (input, grad)) in rows {
+            for first in (0..input.len()).step_by(S::F32_LANES) {
+                let end = input.len().min(first + S::F32_LANES);
+                let (x, g) = (
+                    simd::load(simd, &input[first..end]),
+                    simd::load(simd, &grad[first..end]),
+                );
+                let d = if self.activation == Activation::None {
+                    g
+                } else {
+                    let u = simd.mul_add_f32s(
+                        x,
+                        simd::load(simd, &self.scale[first..end]),
+                        simd::load(simd, &self.shift[first..end]),
+                    );
+                    if self.activation == Activation::Relu {
+                        simd.select_f32s(simd.greater_than_f32s(u, zero), g, zero)
+                    } else {
+                        // d(u s)/du = s (1 + u (1 - s)) with s = sigmoid(u)
+                        let s = simd::sigmoid_vector(simd, u);
+                        let slope = simd.mul_add_f32s(u, simd.sub_f32s(one, s), one);
+                        simd.mul_f32s(simd.mul_f32s(g, s), slope)
+                    }
+                };
+                simd::store(simd, &mut output[first..end], d);
+                let sum = simd.add_f32s(simd::load(simd, &self.sums[first..end]), d);
+                let dot = simd.mul_add_f32s(
+                    d,
+                    simd.sub_f32s(x, simd::load(simd, &self.means[first..end])),
+                    simd::load(simd, &self.dots[first..end]),
+                );
+                simd::store(simd, &mut self.sums[first..end], sum);
+                simd::store(simd, &mut self.dots[first..end], dot);
+            }
+        }
+    }
+}
+
+/// `scale (d - offset - (x - mean) slope)` in place of `d`.
+struct Center<'a> {
+    input: &'a [f32],
+    scale: &'a [f32],
+    offset: &'a [f32],
+    means: &'a [f32],
+    slope: &'a [f32],
+    output: &'a mut [f32],
+}
+
+impl pulp::WithSimd for Center<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let row = self.scale.len();
+        for (output, input) in self.output.chunks_mut(row).zip(self.input.chunks(row)) {
+            for first in (0..input.len()).step_by(S::F32_LANES) {
+                let end = input.len().min(first + S::F32_LANES);
+                let centered = simd.sub_f32s(
+                    simd::load(simd, &input[first..end]),
+                    simd::load(simd, &self.means[first..end]),
+                );
+                let carried = simd.mul_add_f32s(
+                    centered,
+                    simd::load(simd, &self.slope[first..end]),
+                    simd::load(simd, &self.offset[first..end]),
+                );
+                let value = simd.mul_f32s(
+                    simd::load(simd, &self.scale[first..end]),
+                    simd.sub_f32s(simd::load(simd, &output[first..end]), carried),
+                );
+                simd::store(simd, &mut output[first..end], value);
+            }
+        }
+    }
 }
 
 /// Gradients of [`forward`] through the batch's own statistics.
@@ -187,84 +345,57 @@ pub fn backward(
         .iter()
         .map(|variance| 1.0 / (variance + epsilon).sqrt())
         .collect();
-    let (gammas, betas) = (for_row(gamma), for_row(beta));
-    let (means, inverses) = (for_row(&statistics.mean), for_row(&inverse));
-    // First pass: the gradient before the activation, and its two sums a channel.
-    let mut output = vec![0.0; input.len()];
-    let task = task_values(channels);
-    let row = gammas.len();
-    output
-        .par_chunks_mut(task)
-        .zip(input.par_chunks(task).zip(grad.par_chunks(task)))
-        .for_each(|(output, (input, grad))| {
-            simd::vectorized(|| {
-                let rows = output
-                    .chunks_mut(row)
-                    .zip(input.chunks(row).zip(grad.chunks(row)));
-                for (output, (input, grad)) in rows {
-                    let values = output.iter_mut().zip(input).zip(grad);
-                    let settings = gammas.iter().zip(&betas).zip(&means).zip(&inverses);
-                    for (((d, x), g), (((gamma, beta), mean), inverse)) in values.zip(settings) {
-                        let u = gamma * ((x - mean) * inverse) + beta;
-                        *d = match activation {
-                            Activation::None => *g,
-                            Activation::Relu => {
-                                if u > 0.0 {
-                                    *g
-                                } else {
-                                    0.0
-                                }
-                            }
-                            Activation::Silu => {
-                                let s = simd::sigmoid(u);
-                                g * s * (1.0 + u * (1.0 - s))
-                            }
-                        };
-                    }
-                }
-            });
-        });
-    let [beta_grad, dots] = channel_totals(channels, input.len(), |range, [sums, dots]| {
-        simd::vectorized(|| {
-            let rows = output[range.clone()].chunks(row);
-            for (output, input) in rows.zip(input[range.clone()].chunks(row)) {
-                let totals = sums.iter_mut().zip(dots.iter_mut()).zip(&means);
-                for (((sum, dot), mean), (d, x)) in totals.zip(output.iter().zip(input)) {
-                    *sum += d;
-                    *dot += d * (x - mean);
-                }
-            }
-        });
-    });
-    let gamma_grad: Vec<f64> = dots
-        .iter()
-        .zip(&inverse)
-        .map(|(dot, inverse)| dot * f64::from(*inverse))
-        .collect();
-    // Second pass: take out the parts that the statistics carry.
-    let per_channel = |value: &dyn Fn(usize) -> f64| -> Vec<f32> {
+    let per_row = |value: &dyn Fn(usize) -> f64| -> Vec<f32> {
         for_row(
             &(0..channels)
                 .map(|channel| value(channel) as f32)
                 .collect::<Vec<_>>(),
         )
     };
-    let scales = per_channel(&|c| f64::from(gamma[c] * inverse[c]));
-    let offsets = per_channel(&|c| beta_grad[c] / count);
-    let slopes = per_channel(&|c| gamma_grad[c] / count * f64::from(inverse[c]));
+    let means = for_row(&statistics.mean);
+    let scale = |c: usize| f64::from(gamma[c] * inverse[c]);
+    let scales = per_row(&scale);
+    let shifts = per_row(&|c| f64::from(beta[c]) - f64::from(statistics.mean[c]) * scale(c));
+    let mut output = vec![0.0; input.len()];
+    // First pass: the gradient before the activation, and its two sums a channel.
+    let [beta_grad, dots] = channel_totals(
+        channels,
+        &mut output,
+        input.len(),
+        |range, output, [sums, dots]| {
+            pulp::Arch::new().dispatch(ActivateGrad {
+                input: &input[range.clone()],
+                grad: &grad[range],
+                scale: &scales,
+                shift: &shifts,
+                means: &means,
+                activation,
+                output,
+                sums,
+                dots,
+            });
+        },
+    );
+    let gamma_grad: Vec<f64> = dots
+        .iter()
+        .zip(&inverse)
+        .map(|(dot, inverse)| dot * f64::from(*inverse))
+        .collect();
+    // Second pass: take out the parts that the statistics carry.
+    let offsets = per_row(&|c| beta_grad[c] / count);
+    let slopes = per_row(&|c| gamma_grad[c] / count * f64::from(inverse[c]));
+    let task = task_values(channels);
     output
         .par_chunks_mut(task)
         .zip(input.par_chunks(task))
         .for_each(|(output, input)| {
-            simd::vectorized(|| {
-                for (output, input) in output.chunks_mut(row).zip(input.chunks(row)) {
-                    let settings = scales.iter().zip(&offsets).zip(&means).zip(&slopes);
-                    for ((d, x), (((scale, offset), mean), slope)) in
-                        output.iter_mut().zip(input).zip(settings)
-                    {
-                        *d = scale * (*d - offset - (x - mean) * slope);
-                    }
-                }
+            pulp::Arch::new().dispatch(Center {
+                input,
+                scale: &scales,
+                offset: &offsets,
+                means: &means,
+                slope: &slopes,
+                output,
             });
         });
     NormGradients {
