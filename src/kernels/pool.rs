@@ -108,82 +108,106 @@ impl pulp::WithSimd for PoolRow<'_> {
 /// Gradient of the input. The maximum's gradient goes to the first largest value of the window;
 /// windows whose result the ReLU cut pass nothing on.
 pub fn backward(input: Pixels, grad: Pixels, kind: TwinInput) -> Vec<f32> {
-    let (rows, columns, channels) = (input.height / 2, input.width / 2, input.channels);
+    let (rows, channels) = (input.height / 2, input.channels);
     let pathway = pathway_images(&input, kind);
     let row_values = input.width * channels;
-    let mut output = vec![0.0; input.images * input.height * row_values];
     let image_values = input.height * row_values;
+    let mut output = vec![0.0; input.images * image_values];
+    // Pairs of rows; an odd last row passes nothing on and stays zero.
     output
         .par_chunks_exact_mut(image_values)
         .enumerate()
         .flat_map(|(image, output)| {
             output
-                .par_chunks_mut(2 * row_values)
-                .take(rows)
+                .par_chunks_exact_mut(2 * row_values)
                 .with_min_len(4)
                 .enumerate()
                 .map(move |(y, output)| (image, y, output))
         })
         .for_each(|(image, y, output)| {
+            debug_assert!(y < rows);
             let (maximum, average) = match kind {
                 TwinInput::Shared => (Some(image), Some(pathway + image)),
                 TwinInput::Stacked if image < pathway => (Some(image), None),
                 TwinInput::Stacked => (None, Some(image)),
             };
-            simd::vectorized(|| {
-                let (upper, lower) = output.split_at_mut(row_values);
-                for x in 0..columns {
-                    let window = window(&input, image, y, x);
-                    let [first, second] = [2 * x, 2 * x + 1].map(|x| x * channels);
-                    let (u0, u1) = upper[first..second + channels].split_at_mut(channels);
-                    let (l0, l1) = lower[first..second + channels].split_at_mut(channels);
-                    if let Some(image) = maximum {
-                        let grad = grad.pixel(image, y, x);
-                        pass_maximum(window, grad, [&mut *u0, &mut *u1, &mut *l0, &mut *l1]);
-                    }
-                    if let Some(image) = average {
-                        pass_average(window, grad.pixel(image, y, x), [u0, u1, l0, l1]);
-                    }
-                }
+            pulp::Arch::new().dispatch(PoolGradRow {
+                input: &input,
+                grad: &grad,
+                image,
+                y,
+                maximum,
+                average,
+                output,
             });
         });
     output
 }
 
-#[inline(always)]
-fn pass_maximum(window: [&[f32]; 4], grad: &[f32], targets: [&mut [f32]; 4]) {
-    let channels = grad.len();
-    let [a, b, c, d] = window.map(|pixel| &pixel[..channels]);
-    let [ta, tb, tc, td] = targets.map(|pixel| &mut pixel[..channels]);
-    for i in 0..channels {
-        let largest = a[i].max(b[i]).max(c[i]).max(d[i]);
-        let g = if largest > 0.0 { grad[i] } else { 0.0 };
-        let first = a[i] >= largest;
-        let second = !first && b[i] >= largest;
-        let third = !first && !second && c[i] >= largest;
-        let fourth = !(first || second || third);
-        ta[i] += if first { g } else { 0.0 };
-        tb[i] += if second { g } else { 0.0 };
-        tc[i] += if third { g } else { 0.0 };
-        td[i] += if fourth { g } else { 0.0 };
-    }
+/// Gradient of two rows of the input.
+struct PoolGradRow<'a> {
+    input: &'a Pixels<'a>,
+    grad: &'a Pixels<'a>,
+    image: usize,
+    y: usize,
+    /// The image of the gradient that is the maximum's, and the average's.
+    maximum: Option<usize>,
+    average: Option<usize>,
+    output: &'a mut [f32],
 }
 
-#[inline(always)]
-fn pass_average(window: [&[f32]; 4], grad: &[f32], targets: [&mut [f32]; 4]) {
-    let channels = grad.len();
-    let [a, b, c, d] = window.map(|pixel| &pixel[..channels]);
-    let [ta, tb, tc, td] = targets.map(|pixel| &mut pixel[..channels]);
-    for i in 0..channels {
-        let g = if a[i] + b[i] + c[i] + d[i] > 0.0 {
-            0.25 * grad[i]
-        } else {
-            0.0
-        };
-        ta[i] += g;
-        tb[i] += g;
-        tc[i] += g;
-        td[i] += g;
+impl pulp::WithSimd for PoolGradRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let zero = simd.splat_f32s(0.0);
+        let quarter = simd.splat_f32s(0.25);
+        let channels = self.input.channels;
+        let (upper, lower) = self.output.split_at_mut(self.input.width * channels);
+        for x in 0..self.input.width / 2 {
+            let window = window(self.input, self.image, self.y, x);
+            for first in (0..channels).step_by(S::F32_LANES) {
+                let end = channels.min(first + S::F32_LANES);
+                let mut values = [zero; 4];
+                for (value, pixel) in values.iter_mut().zip(window) {
+                    *value = simd::load(simd, &pixel[first..end]);
+                }
+                let [a, b, c, d] = values;
+                let mut grads = [zero; 4];
+                if let Some(image) = self.maximum {
+                    let grad = &self.grad.pixel(image, self.y, x)[first..end];
+                    let largest = simd.max_f32s(simd.max_f32s(a, b), simd.max_f32s(c, d));
+                    let mut left = simd.select_f32s(
+                        simd.greater_than_f32s(largest, zero),
+                        simd::load(simd, grad),
+                        zero,
+                    );
+                    for (grad, value) in grads.iter_mut().zip(values) {
+                        let hit = simd.greater_than_or_equal_f32s(value, largest);
+                        *grad = simd.select_f32s(hit, left, zero);
+                        left = simd.select_f32s(hit, zero, left);
+                    }
+                }
+                if let Some(image) = self.average {
+                    let grad = &self.grad.pixel(image, self.y, x)[first..end];
+                    let sum = simd.add_f32s(simd.add_f32s(a, b), simd.add_f32s(c, d));
+                    let share = simd.select_f32s(
+                        simd.greater_than_f32s(sum, zero),
+                        simd.mul_f32s(quarter, simd::load(simd, grad)),
+                        zero,
+                    );
+                    for grad in &mut grads {
+                        *grad = simd.add_f32s(*grad, share);
+                    }
+                }
+                for (index, grad) in grads.into_iter().enumerate() {
+                    let row = if index < 2 { &mut *upper } else { &mut *lower };
+                    let start = (2 * x + index % 2) * channels;
+                    simd::store(simd, &mut row[start + first..start + end], grad);
+                }
+            }
+        }
     }
 }
 
@@ -225,11 +249,25 @@ pub fn local_maximum(input: Pixels, size: usize) -> Vec<f32> {
 
 /// Raises every value to at least the other's.
 fn largest(values: &mut [f32], others: &[f32]) {
-    simd::vectorized(|| {
-        for (value, other) in values.iter_mut().zip(others) {
-            *value = value.max(*other);
+    pulp::Arch::new().dispatch(Largest { values, others });
+}
+
+struct Largest<'a> {
+    values: &'a mut [f32],
+    others: &'a [f32],
+}
+
+impl pulp::WithSimd for Largest<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let values = self.values.chunks_mut(S::F32_LANES);
+        for (values, others) in values.zip(self.others.chunks(S::F32_LANES)) {
+            let larger = simd.max_f32s(simd::load(simd, values), simd::load(simd, others));
+            simd::store(simd, values, larger);
         }
-    });
+    }
 }
 
 /// Sum of every 2x2 window, `[images, height / 2, width / 2, channels]`: the gradient of doubling.
@@ -240,17 +278,42 @@ pub fn window_sums(input: Pixels) -> Vec<f32> {
         .par_chunks_exact_mut((columns * channels).max(1))
         .enumerate()
         .for_each(|(row, output)| {
-            simd::vectorized(|| {
-                for (x, target) in output.chunks_exact_mut(channels).enumerate() {
-                    let [a, b, c, d] = window(&input, row / rows, row % rows, x)
-                        .map(|pixel| &pixel[..target.len()]);
-                    for (i, value) in target.iter_mut().enumerate() {
-                        *value = a[i] + b[i] + c[i] + d[i];
-                    }
-                }
+            pulp::Arch::new().dispatch(SumRow {
+                input: &input,
+                image: row / rows,
+                y: row % rows,
+                output,
             });
         });
     output
+}
+
+/// A row of window sums.
+struct SumRow<'a> {
+    input: &'a Pixels<'a>,
+    image: usize,
+    y: usize,
+    output: &'a mut [f32],
+}
+
+impl pulp::WithSimd for SumRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let channels = self.input.channels;
+        for (x, target) in self.output.chunks_exact_mut(channels).enumerate() {
+            let window = window(self.input, self.image, self.y, x);
+            for first in (0..channels).step_by(S::F32_LANES) {
+                let end = channels.min(first + S::F32_LANES);
+                let mut sum = simd.splat_f32s(0.0);
+                for pixel in window {
+                    sum = simd.add_f32s(sum, simd::load(simd, &pixel[first..end]));
+                }
+                simd::store(simd, &mut target[first..end], sum);
+            }
+        }
+    }
 }
 
 #[cfg(test)]

@@ -40,19 +40,6 @@ pub fn vector_lanes() -> usize {
     pulp::Arch::new().dispatch(Lanes)
 }
 
-/// Runs a closure compiled for the machine's vectors: its plain loops vectorise to full width.
-pub fn vectorized<R>(work: impl FnOnce() -> R) -> R {
-    struct Run<F>(F);
-    impl<R, F: FnOnce() -> R> pulp::WithSimd for Run<F> {
-        type Output = R;
-        #[inline(always)]
-        fn with_simd<S: Simd>(self, _: S) -> R {
-            (self.0)()
-        }
-    }
-    pulp::Arch::new().dispatch(Run(work))
-}
-
 /// Loads a vector; values beyond the slice's end are zero.
 #[inline(always)]
 pub fn load<S: Simd>(simd: S, values: &[f32]) -> S::f32s {
@@ -256,39 +243,14 @@ pub unsafe fn add_outer<S: Simd, const V: usize>(
     }
 }
 
-/// `e^x` to about 2 units in the last place, in arithmetic that vectorises.
+/// `1 / (1 + e^-x)` to about 3 units in the last place.
 ///
-/// Cody-Waite reduction and the degree-6 polynomial of the Cephes library's `expf`. Arguments
-/// beyond the range of `f32` saturate.
-#[inline(always)]
-pub fn exp(x: f32) -> f32 {
-    const ROUND: f32 = 12_582_912.0; // 1.5 * 2^23: adding it rounds to an integer
-    let x = x.clamp(-87.3, 88.3);
-    let shifted = x * std::f32::consts::LOG2_E + ROUND;
-    let n = shifted - ROUND;
-    let r = (x - n * 0.693_359_4) + n * 2.121_944_4e-4;
-    let mut p = 1.987_569_1e-4;
-    p = p * r + 1.398_2e-3;
-    p = p * r + 8.333_452e-3;
-    p = p * r + 4.166_579_6e-2;
-    p = p * r + 1.666_666_5e-1;
-    p = p * r + 0.5;
-    let e = p * r * r + r + 1.0;
-    // The low bits of `shifted` hold n; moved to the exponent they are a factor 2^n.
-    e * f32::from_bits((shifted.to_bits() << 23).wrapping_add(0x3f80_0000))
-}
-
-/// `1 / (1 + e^-x)`, vectorisable.
-#[inline(always)]
-pub fn sigmoid(x: f32) -> f32 {
-    1.0 / (1.0 + exp(-x))
-}
-
-/// [`sigmoid`] of a vector.
+/// The exponential by Cody and Waite's reduction and the degree-6 polynomial of the Cephes
+/// library's `expf`; arguments beyond the range of `f32` saturate.
 #[inline(always)]
 pub fn sigmoid_vector<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let splat = |value: f32| simd.splat_f32s(value);
-    // e^-x by the steps of [`exp`].
+    // 1.5 * 2^23: adding it rounds to an integer.
     let round = splat(12_582_912.0);
     let x = simd.min_f32s(simd.max_f32s(simd.neg_f32s(x), splat(-87.3)), splat(88.3));
     let shifted = simd.mul_add_f32s(x, splat(std::f32::consts::LOG2_E), round);
@@ -306,6 +268,7 @@ pub fn sigmoid_vector<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
         p = simd.mul_add_f32s(p, r, splat(coefficient));
     }
     let e = simd.add_f32s(simd.mul_add_f32s(simd.mul_f32s(p, r), r, r), splat(1.0));
+    // The low bits of `shifted` hold n; moved to the exponent they are a factor 2^n.
     let bits = simd.wrapping_dyn_shl_u32s(simd.transmute_u32s_f32s(shifted), simd.splat_u32s(23));
     let power = simd.transmute_f32s_u32s(simd.add_u32s(bits, simd.splat_u32s(0x3f80_0000)));
     let e = simd.mul_f32s(e, power);
@@ -316,24 +279,44 @@ pub fn sigmoid_vector<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 mod tests {
     use super::*;
 
-    #[test]
-    fn exp_is_within_three_units_in_the_last_place_over_its_range() {
-        for i in -8700..8800_i16 {
-            let x = f32::from(i) / 100.0;
-            let exact = f64::from(x).exp();
-            assert!(
-                (f64::from(exp(x)) - exact).abs() <= 3.6e-7 * exact,
-                "exp({x})"
-            );
+    struct Sigmoids<'a>(&'a mut [f32]);
+
+    impl pulp::WithSimd for Sigmoids<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) {
+            for values in self.0.chunks_mut(S::F32_LANES) {
+                let sigmoids = sigmoid_vector(simd, load(simd, values));
+                store(simd, values, sigmoids);
+            }
         }
-        assert!(exp(1e30).is_finite() && exp(-1e30) >= 0.0);
+    }
+
+    fn sigmoids(mut values: Vec<f32>) -> Vec<f32> {
+        pulp::Arch::new().dispatch(Sigmoids(&mut values));
+        values
     }
 
     #[test]
-    fn sigmoid_of_x_and_minus_x_sum_to_one() {
-        for i in -2000..2000_i16 {
-            let x = f32::from(i) / 50.0;
-            assert!((sigmoid(x) + sigmoid(-x) - 1.0).abs() < 3e-7);
+    fn sigmoids_are_exact_to_a_few_units_in_the_last_place_over_their_range() {
+        let arguments: Vec<f32> = (-8700..8700_i16).map(|i| f32::from(i) / 100.0).collect();
+        for (x, actual) in arguments.iter().zip(sigmoids(arguments.clone())) {
+            let exact = 1.0 / (1.0 + f64::from(-x).exp());
+            let error = (f64::from(actual) - exact).abs();
+            assert!(error <= 5e-7 * exact, "sigmoid({x}) = {actual}");
+        }
+    }
+
+    #[test]
+    fn sigmoids_saturate_and_those_of_x_and_minus_x_sum_to_one() {
+        let extremes = sigmoids(vec![1e30, -1e30, f32::INFINITY, f32::NEG_INFINITY]);
+        assert_eq!([extremes[0], extremes[2]], [1.0, 1.0]);
+        assert!(extremes[1] >= 0.0 && extremes[1] < 1e-30, "{extremes:?}");
+        let arguments: Vec<f32> = (0..2000_i16).map(|i| f32::from(i) / 100.0).collect();
+        let mirrored: Vec<f32> = arguments.iter().map(|x| -x).collect();
+        for (a, b) in sigmoids(arguments).into_iter().zip(sigmoids(mirrored)) {
+            assert!((a + b - 1.0).abs() < 2e-7, "{a} + {b}");
         }
     }
 }
