@@ -37,6 +37,11 @@ fn on_planes(input: Tensor<4>, operation: impl Fn(Tensor<4>) -> Tensor<4>) -> Te
     kernels::planes(operation(kernels::pixels(input)))
 }
 
+/// The other way round.
+fn on_pixels(input: Tensor<4>, operation: impl Fn(Tensor<4>) -> Tensor<4>) -> Tensor<4> {
+    kernels::pixels(operation(kernels::planes(input)))
+}
+
 /// A convolution that our kernels cover.
 #[derive(Debug, Clone, Copy)]
 struct Case {
@@ -320,5 +325,71 @@ fn results_are_the_same_to_the_bit_for_one_thread_and_for_several() {
         let (other_output, other_grad) = run(threads);
         assert_eq!(output.as_bytes(), other_output.as_bytes());
         assert_eq!(grad.as_bytes(), other_grad.as_bytes());
+    }
+}
+
+#[test]
+fn narrower_vectors_pass_the_same_tests() {
+    const VARIABLE: &str = "TWINSIGHT_SIMD";
+    if std::env::var_os(VARIABLE).is_some() {
+        return; // in a process started below
+    }
+    for width in ["avx2", "scalar"] {
+        let output = std::process::Command::new(std::env::current_exe().unwrap())
+            .env(VARIABLE, width)
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success(), "{width}: {text}");
+        assert!(text.contains("test result: ok"), "{width}: {text}");
+    }
+}
+
+#[test]
+fn packed_convolutions_join_double_and_add_as_the_separate_operations_do() {
+    let device = Device::flex();
+    device.seed(16);
+    // Parts by channels and whether they are of half the size; output channels, kernel, stride.
+    let cases: [(&[(usize, bool)], usize, usize, usize); 6] = [
+        (&[(5, false)], 7, 1, 1),
+        (&[(16, true), (9, false)], 33, 1, 1),
+        (&[(3, false), (20, true), (8, false), (1, true)], 16, 1, 1),
+        (
+            &[(4, false), (4, false), (4, false), (4, false), (4, true)],
+            10,
+            1,
+            1,
+        ),
+        (&[(12, false), (6, true)], 18, 3, 1),
+        (&[(8, true), (8, false)], 20, 3, 2),
+    ];
+    for (parts, channels_out, kernel, stride) in cases {
+        let what = format!("{parts:?} -> {channels_out}, {kernel}x{kernel}, stride {stride}");
+        let inputs: Vec<Tensor<4>> = parts
+            .iter()
+            .map(|&(channels, half)| {
+                let [height, width] = if half { [9, 13] } else { [18, 26] };
+                // A part of a wider stack: pixels are further apart than their channels.
+                random([2, height, width, channels + 3], &device).narrow(3, 2, channels)
+            })
+            .collect();
+        let channels: usize = parts.iter().map(|part| part.0).sum();
+        let weight = random([channels_out, channels, kernel, kernel], &device);
+        let bias = random([channels_out], &device);
+        let geometry = ConvGeometry {
+            stride,
+            padding: kernel / 2,
+            groups: 1,
+        };
+        let joined = kernels::join(inputs.clone());
+        let sums = on_pixels(joined, |planes| {
+            let options = ConvOptions::new([stride; 2], [kernel / 2; 2], [1; 2], 1);
+            module::conv2d(planes, weight.clone(), Some(bias.clone()), options)
+        });
+        let residual = random(sums.dims(), &device);
+        let expected = burn::tensor::activation::silu(sums) + residual.clone();
+        let packed = kernels::PackedConv::new(weight, geometry);
+        let actual = packed.forward(inputs, bias, Some(residual), Activation::Silu);
+        assert_same(actual, expected, &what);
     }
 }

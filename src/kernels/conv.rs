@@ -281,7 +281,7 @@ fn pointwise(
     };
     (0..shape.batch * blocks).into_par_iter().for_each(|task| {
         let mut scratch = SCRATCH.take();
-        pulp::Arch::new().dispatch(Pointwise {
+        simd::dispatch(Pointwise {
             sources,
             weights,
             epilogue,
@@ -479,7 +479,7 @@ impl Windows {
                 pixels.copy_window(image, corner, [height, pitch], &mut scratch);
                 (&scratch[..], pitch)
             };
-            pulp::Arch::new().dispatch(Band {
+            simd::dispatch(Band {
                 windows: self,
                 input,
                 pitch,

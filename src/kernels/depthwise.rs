@@ -39,7 +39,7 @@ pub fn forward(shape: &ConvShape, input: Pixels, weights: &[f32], epilogue: &Epi
             let start = (image * shape.height_out() + rows.start) * row_values;
             std::slice::from_raw_parts_mut(shared.get().add(start), rows.len() * row_values)
         };
-        pulp::Arch::new().dispatch(Forward {
+        simd::dispatch(Forward {
             shape,
             band: &band,
             weights,
@@ -192,7 +192,7 @@ pub fn backward_weight(shape: &ConvShape, input: Pixels, grad: Pixels) -> Vec<f3
         for (image, rows) in by_image(rows_of_all, rows) {
             for row in rows {
                 copy_band(shape, &input, image, &(row..row + 1), &mut band);
-                pulp::Arch::new().dispatch(WeightGrad {
+                simd::dispatch(WeightGrad {
                     shape,
                     band: &band,
                     grad: &grad,

@@ -130,7 +130,7 @@ impl pulp::WithSimd for AddRows<'_> {
 /// Sum of each channel's values: a bias's gradient.
 pub fn channel_sums(channels: usize, values: &[f32]) -> Vec<f32> {
     let [sums] = channel_totals(channels, &mut [], values.len(), |range, _, [sums]| {
-        pulp::Arch::new().dispatch(AddRows {
+        simd::dispatch(AddRows {
             values: &values[range],
             means: None,
             sums,
@@ -146,7 +146,7 @@ pub fn statistics(channels: usize, input: &[f32]) -> BatchStatistics {
         |sums: &[f64]| -> Vec<f32> { sums.iter().map(|sum| (sum / count) as f32).collect() };
     let totals = |means: Option<&[f32]>| {
         let [sums] = channel_totals(channels, &mut [], input.len(), |range, _, [sums]| {
-            pulp::Arch::new().dispatch(AddRows {
+            simd::dispatch(AddRows {
                 values: &input[range],
                 means,
                 sums,
@@ -217,7 +217,7 @@ pub fn forward(
         .par_chunks_mut(task)
         .zip(input.par_chunks(task))
         .for_each(|(output, input)| {
-            pulp::Arch::new().dispatch(Activate {
+            simd::dispatch(Activate {
                 input,
                 scale: &scale,
                 shift: &shift,
@@ -363,7 +363,7 @@ pub fn backward(
         &mut output,
         input.len(),
         |range, output, [sums, dots]| {
-            pulp::Arch::new().dispatch(ActivateGrad {
+            simd::dispatch(ActivateGrad {
                 input: &input[range.clone()],
                 grad: &grad[range],
                 scale: &scales,
@@ -389,7 +389,7 @@ pub fn backward(
         .par_chunks_mut(task)
         .zip(input.par_chunks(task))
         .for_each(|(output, input)| {
-            pulp::Arch::new().dispatch(Center {
+            simd::dispatch(Center {
                 input,
                 scale: &scales,
                 offset: &offsets,

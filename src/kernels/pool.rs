@@ -36,7 +36,7 @@ pub fn forward(input: Pixels, kind: TwinInput) -> Vec<f32> {
                 TwinInput::Shared => image % pathway,
                 TwinInput::Stacked => image,
             };
-            pulp::Arch::new().dispatch(PoolRow {
+            simd::dispatch(PoolRow {
                 input: &input,
                 image: source,
                 y,
@@ -131,7 +131,7 @@ pub fn backward(input: Pixels, grad: Pixels, kind: TwinInput) -> Vec<f32> {
                 TwinInput::Stacked if image < pathway => (Some(image), None),
                 TwinInput::Stacked => (None, Some(image)),
             };
-            pulp::Arch::new().dispatch(PoolGradRow {
+            simd::dispatch(PoolGradRow {
                 input: &input,
                 grad: &grad,
                 image,
@@ -249,7 +249,7 @@ pub fn local_maximum(input: Pixels, size: usize) -> Vec<f32> {
 
 /// Raises every value to at least the other's.
 fn largest(values: &mut [f32], others: &[f32]) {
-    pulp::Arch::new().dispatch(Largest { values, others });
+    simd::dispatch(Largest { values, others });
 }
 
 struct Largest<'a> {
@@ -278,7 +278,7 @@ pub fn window_sums(input: Pixels) -> Vec<f32> {
         .par_chunks_exact_mut((columns * channels).max(1))
         .enumerate()
         .for_each(|(row, output)| {
-            pulp::Arch::new().dispatch(SumRow {
+            simd::dispatch(SumRow {
                 input: &input,
                 image: row / rows,
                 y: row % rows,

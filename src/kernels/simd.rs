@@ -1,6 +1,8 @@
 //! The inner loops, written once for every vector width (AVX-512, AVX2 with FMA, NEON, scalar) and
 //! chosen at run time by pulp.
 
+use std::sync::OnceLock;
+
 use pulp::Simd;
 
 #[cfg(target_arch = "x86_64")]
@@ -27,6 +29,44 @@ pub const fn tile_positions<S: Simd>() -> usize {
     }
 }
 
+/// The widest vectors that are used, in the environment variable [`WIDTH_VARIABLE`] or by what the
+/// machine has.
+#[derive(Debug, Clone, Copy)]
+enum Width {
+    /// Whatever pulp finds.
+    Widest,
+    /// Eight floats and half of the registers: AVX2 with FMA.
+    #[cfg(target_arch = "x86_64")]
+    Avx2(pulp::x86::V3),
+    /// One float.
+    Scalar,
+}
+
+/// Names the vectors to use: "avx2" or "scalar" instead of the widest there are, to compare and to
+/// test. Anything else, or vectors that the machine lacks, means the widest.
+pub const WIDTH_VARIABLE: &str = "TWINSIGHT_SIMD";
+
+fn width() -> Width {
+    static WIDTH: OnceLock<Width> = OnceLock::new();
+    *WIDTH.get_or_init(|| match std::env::var(WIDTH_VARIABLE).as_deref() {
+        #[cfg(target_arch = "x86_64")]
+        Ok("avx2") => pulp::x86::V3::try_new().map_or(Width::Widest, Width::Avx2),
+        Ok("scalar") => Width::Scalar,
+        _ => Width::Widest,
+    })
+}
+
+/// Runs work compiled for the machine's vectors.
+#[inline]
+pub fn dispatch<W: pulp::WithSimd>(work: W) -> W::Output {
+    match width() {
+        Width::Widest => pulp::Arch::new().dispatch(work),
+        #[cfg(target_arch = "x86_64")]
+        Width::Avx2(simd) => Simd::vectorize(simd, work),
+        Width::Scalar => Simd::vectorize(pulp::Scalar::new(), work),
+    }
+}
+
 /// Floats in a vector of this machine.
 pub fn vector_lanes() -> usize {
     struct Lanes;
@@ -37,7 +77,7 @@ pub fn vector_lanes() -> usize {
             S::F32_LANES
         }
     }
-    pulp::Arch::new().dispatch(Lanes)
+    dispatch(Lanes)
 }
 
 /// Loads a vector; values beyond the slice's end are zero.
@@ -294,7 +334,7 @@ mod tests {
     }
 
     fn sigmoids(mut values: Vec<f32>) -> Vec<f32> {
-        pulp::Arch::new().dispatch(Sigmoids(&mut values));
+        dispatch(Sigmoids(&mut values));
         values
     }
 

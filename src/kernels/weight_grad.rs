@@ -144,7 +144,7 @@ fn add_rows(
             }
             (&grads[..], width)
         };
-        pulp::Arch::new().dispatch(Band {
+        simd::dispatch(Band {
             shape,
             input: band,
             pitch,

@@ -90,7 +90,7 @@ pub(super) fn forward(
     let tasks = tiles.tasks(TASK_TILES);
     (0..shape.batch * tasks).into_par_iter().for_each(|task| {
         let (mut points, mut products) = SCRATCH.take();
-        pulp::Arch::new().dispatch(Forward {
+        simd::dispatch(Forward {
             shape,
             tiles,
             input,

@@ -38,7 +38,7 @@ pub(super) fn backward_weight(shape: &ConvShape, input: Pixels, grad: Pixels) ->
             let parts = range.len().div_ceil(TASK_TILES);
             for index in 0..parts {
                 let part = part(range.len(), index, parts);
-                pulp::Arch::new().dispatch(Block {
+                simd::dispatch(Block {
                     shape,
                     tiles,
                     input,

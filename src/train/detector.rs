@@ -13,6 +13,7 @@ use super::log::EpochRow;
 use super::optimizer::scalar;
 use super::stage::{PassLoss, Recipe, Steering};
 use crate::dataset::{DetectionItem, DetectionSource, Split, StereoDataset};
+use crate::detector::assign::Target;
 use crate::detector::decode::Anchors;
 use crate::detector::loss::{LossGains, detection_loss};
 use crate::detector::weights::load_detector;
@@ -134,8 +135,15 @@ impl DetectorRecipe {
     }
 }
 
+/// Letterboxed images `[batch, 3, height, width]` and their targets.
+pub struct LetterboxedBatch {
+    planes: Vec<f32>,
+    targets: Vec<Vec<Target>>,
+}
+
 impl Recipe for DetectorRecipe {
     type Model = Yolo11;
+    type Batch = LetterboxedBatch;
     const STAGE: &'static str = "detector";
 
     fn items(&self) -> usize {
@@ -149,7 +157,7 @@ impl Recipe for DetectorRecipe {
         )
     }
 
-    fn loss(&self, model: &Yolo11, epoch: u32, items: &[usize], _: f64) -> Result<PassLoss> {
+    fn load(&self, epoch: u32, items: &[usize]) -> Result<LetterboxedBatch> {
         let augment = DetectionAugment {
             hsv: self.settings.hsv,
             zoom: self.settings.zoom,
@@ -175,8 +183,13 @@ impl Recipe for DetectorRecipe {
                 )
             })
             .collect::<Result<Vec<_>>>()?;
+        Ok(LetterboxedBatch { planes, targets })
+    }
+
+    fn loss(&self, model: &Yolo11, batch: LetterboxedBatch, _: f64) -> Result<PassLoss> {
+        let LetterboxedBatch { planes, targets } = batch;
         let shape = [
-            items.len(),
+            targets.len(),
             3,
             self.input.height as usize,
             self.input.width as usize,

@@ -133,10 +133,13 @@ impl DistanceRecipe {
         // Evenly over the data: neighbours show the same scene.
         let step = self.train.len().div_ceil(NORMALIZED);
         let some: Vec<Vehicle> = self.train.iter().step_by(step).cloned().collect();
-        let network = normalize_layers(network, self.load(&some, None, &device)?.composites);
+        let composites = self
+            .batch(self.composites(&some, None)?, &device)
+            .composites;
+        let network = normalize_layers(network, composites);
         let mut rows = Vec::new();
         for vehicles in self.train.chunks(self.settings.micro_batch) {
-            let batch = self.load(vehicles, None, &device)?;
+            let batch = self.batch(self.composites(vehicles, None)?, &device);
             let features = network.features(batch.composites).fc2;
             let inputs = Tensor::cat(vec![features, batch.geometry], 1);
             let [_, width] = inputs.dims();
@@ -175,12 +178,11 @@ impl DistanceRecipe {
     }
 
     /// Loads composites; with an epoch they are changed at random.
-    fn load(
+    fn composites(
         &self,
         vehicles: &[Vehicle],
         epoch: Option<(u32, &[usize])>,
-        device: &Device,
-    ) -> Result<Batch> {
+    ) -> Result<LoadedComposites> {
         let size = self.settings.composite;
         let mut planes = vec![0.0; vehicles.len() * size.plane_values()];
         let geometry = planes
@@ -213,17 +215,27 @@ impl DistanceRecipe {
                 Ok(geometry_vector(left, right, width, height))
             })
             .collect::<Result<Vec<[f32; 2]>>>()?;
-        let distances: Vec<f32> = vehicles
-            .iter()
-            .map(|vehicle| vehicle.label.distance_m as f32)
-            .collect();
-        let count = vehicles.len();
-        let shape = [count, 3, size.height as usize, size.width as usize];
-        Ok(Batch {
-            composites: Tensor::from_data(TensorData::new(planes, shape), device),
-            geometry: Tensor::from_data(TensorData::new(geometry.concat(), [count, 2]), device),
-            distances_m: Tensor::from_data(TensorData::new(distances, [count, 1]), device),
+        Ok(LoadedComposites {
+            planes,
+            geometry,
+            distances_m: vehicles
+                .iter()
+                .map(|vehicle| vehicle.label.distance_m as f32)
+                .collect(),
         })
+    }
+
+    /// Takes composites to a device.
+    fn batch(&self, loaded: LoadedComposites, device: &Device) -> Batch {
+        let size = self.settings.composite;
+        let count = loaded.distances_m.len();
+        let shape = [count, 3, size.height as usize, size.width as usize];
+        let geometry = TensorData::new(loaded.geometry.concat(), [count, 2]);
+        Batch {
+            composites: Tensor::from_data(TensorData::new(loaded.planes, shape), device),
+            geometry: Tensor::from_data(geometry, device),
+            distances_m: Tensor::from_data(TensorData::new(loaded.distances_m, [count, 1]), device),
+        }
     }
 
     /// Moves the edges of a box as a detector's errors do.
@@ -270,8 +282,16 @@ struct Batch {
     distances_m: Tensor<2>,
 }
 
+/// Composites, geometry vectors and distances before they go to a device.
+pub struct LoadedComposites {
+    planes: Vec<f32>,
+    geometry: Vec<[f32; 2]>,
+    distances_m: Vec<f32>,
+}
+
 impl Recipe for DistanceRecipe {
     type Model = RangingNetwork;
+    type Batch = LoadedComposites;
     const STAGE: &'static str = "distance";
 
     fn items(&self) -> usize {
@@ -282,15 +302,18 @@ impl Recipe for DistanceRecipe {
         self.train[item].frame.left.path.display().to_string()
     }
 
+    fn load(&self, epoch: u32, items: &[usize]) -> Result<LoadedComposites> {
+        let vehicles: Vec<Vehicle> = items.iter().map(|&item| self.train[item].clone()).collect();
+        self.composites(&vehicles, Some((epoch, items)))
+    }
+
     fn loss(
         &self,
         model: &RangingNetwork,
-        epoch: u32,
-        items: &[usize],
+        batch: LoadedComposites,
         share: f64,
     ) -> Result<PassLoss> {
-        let vehicles: Vec<Vehicle> = items.iter().map(|&item| self.train[item].clone()).collect();
-        let batch = self.load(&vehicles, Some((epoch, items)), &self.device)?;
+        let batch = self.batch(batch, &self.device);
         let predicted = model.forward(batch.composites, batch.geometry);
         let loss = ranging_loss(predicted, batch.distances_m).total;
         let reported = scalar(&loss)?;
@@ -307,7 +330,7 @@ impl Recipe for DistanceRecipe {
         let device = self.device.clone().without_autodiff();
         let mut errors = DistanceErrors::new();
         for vehicles in self.val.chunks(self.settings.micro_batch) {
-            let batch = self.load(vehicles, None, &device)?;
+            let batch = self.batch(self.composites(vehicles, None)?, &device);
             let predicted = model.forward(batch.composites, batch.geometry);
             let values = predicted
                 .try_into_vec_as::<f64>()

@@ -1,6 +1,8 @@
 //! The training loop, one for both networks: epochs, steps, accumulation, validation, saving.
 
 use std::path::Path;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread::Scope;
 use std::time::Instant;
 
 use burn::module::Module;
@@ -15,6 +17,9 @@ use super::log::{EpochRow, RunLog};
 use super::optimizer::{AveragedWeights, clip_gradients, initialize, schedule_factor};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
+
+/// Passes that wait for their step, at most.
+const LOADED_AHEAD: usize = 1;
 
 /// The numbers that steer a stage.
 #[derive(Debug, Clone)]
@@ -56,9 +61,12 @@ pub struct PassLoss {
 }
 
 /// What differs between the networks.
-pub trait Recipe {
+pub trait Recipe: Sync {
     /// The network.
     type Model: Module;
+
+    /// Loaded and augmented items, ready for a forward pass.
+    type Batch: Send;
 
     /// Folder and log name of the stage.
     const STAGE: &'static str;
@@ -69,17 +77,18 @@ pub trait Recipe {
     /// What an item is called in messages: its files.
     fn item_name(&self, item: usize) -> String;
 
-    /// Loads the items and computes their loss; `share` is their part of the optimiser step.
+    /// Loads and augments items. Runs beside the steps; the result depends on nothing but the seed,
+    /// the epoch and the items.
     ///
     /// # Errors
-    /// An item that cannot be loaded, or a device that fails.
-    fn loss(
-        &self,
-        model: &Self::Model,
-        epoch: u32,
-        items: &[usize],
-        share: f64,
-    ) -> Result<PassLoss>;
+    /// An item that cannot be loaded.
+    fn load(&self, epoch: u32, items: &[usize]) -> Result<Self::Batch>;
+
+    /// The loss of loaded items; `share` is their part of the optimiser step.
+    ///
+    /// # Errors
+    /// A device that fails.
+    fn loss(&self, model: &Self::Model, batch: Self::Batch, share: f64) -> Result<PassLoss>;
 
     /// Writes a finished epoch's loss terms into its row.
     fn report_terms(&self, terms: &[f64], row: &mut EpochRow);
@@ -232,7 +241,7 @@ struct Trainer<'a, R: Recipe> {
     progress: &'a dyn Progress,
 }
 
-impl<R: Recipe> Trainer<'_, R> {
+impl<'a, R: Recipe> Trainer<'a, R> {
     /// One pass over the data.
     fn epoch(
         &mut self,
@@ -245,6 +254,75 @@ impl<R: Recipe> Trainer<'_, R> {
         let started = Instant::now();
         let order = shuffled(self.recipe.items(), steering.seed, state.epoch);
         let mut sums = EpochSums::default();
+        std::thread::scope(|scope| {
+            let batches = self.loader(scope, &order, state.epoch);
+            self.steps(
+                &order, &batches, model, optimizer, average, state, &mut sums,
+            )
+        })?;
+        let mut row = EpochRow {
+            stage: R::STAGE.to_owned(),
+            epoch: state.epoch + 1,
+            step: state.step,
+            learning_rate: sums.learning_rate,
+            loss: sums.loss / sums.items.max(1) as f64,
+            gradient_norm: steering
+                .clip_norm
+                .map(|_| sums.gradient_norm / sums.steps.max(1) as f64),
+            images_per_second: sums.items as f64 / started.elapsed().as_secs_f64(),
+            ..EpochRow::default()
+        };
+        let terms: Vec<f64> = sums
+            .terms
+            .iter()
+            .map(|sum| sum / sums.items.max(1) as f64)
+            .collect();
+        self.recipe.report_terms(&terms, &mut row);
+        Ok(row)
+    }
+
+    /// Starts a thread that loads the passes of an epoch in order, a little ahead of the steps. It
+    /// ends when the receiver is dropped.
+    fn loader<'scope>(
+        &self,
+        scope: &'scope Scope<'scope, '_>,
+        order: &'scope [usize],
+        epoch: u32,
+    ) -> Receiver<Result<R::Batch>>
+    where
+        'a: 'scope,
+        R::Batch: 'scope,
+    {
+        let (sender, receiver) = sync_channel(LOADED_AHEAD);
+        let (recipe, steering) = (self.recipe, self.steering);
+        scope.spawn(move || {
+            for batch in order.chunks(steering.batch) {
+                for items in batch.chunks(steering.micro_batch) {
+                    if sender.send(recipe.load(epoch, items)).is_err() {
+                        return;
+                    }
+                }
+            }
+        });
+        receiver
+    }
+
+    /// The optimiser steps of an epoch.
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "everything that a step changes, named at the one call"
+    )]
+    fn steps(
+        &mut self,
+        order: &[usize],
+        batches: &Receiver<Result<R::Batch>>,
+        model: &mut R::Model,
+        optimizer: &mut ModuleOptimizer,
+        average: &mut Option<AveragedWeights>,
+        state: &mut StageState,
+        sums: &mut EpochSums,
+    ) -> Result<()> {
+        let steering = self.steering;
         for batch in order.chunks(steering.batch) {
             if self.progress.interrupted() {
                 self.progress.end();
@@ -260,7 +338,10 @@ impl<R: Recipe> Trainer<'_, R> {
             let mut loss = 0.0;
             for items in batch.chunks(steering.micro_batch) {
                 let share = items.len() as f64 / batch.len() as f64;
-                let pass = self.recipe.loss(model, state.epoch, items, share)?;
+                let loaded = batches
+                    .recv()
+                    .unwrap_or_else(|_| unreachable!("the loader sends every pass or an error"))?;
+                let pass = self.recipe.loss(model, loaded, share)?;
                 self.check_finite(&pass, items, state)?;
                 loss += share * pass.reported;
                 sums.add_terms(&pass.terms, items.len());
@@ -292,25 +373,7 @@ impl<R: Recipe> Trainer<'_, R> {
             ));
             self.progress.advance(1);
         }
-        let mut row = EpochRow {
-            stage: R::STAGE.to_owned(),
-            epoch: state.epoch + 1,
-            step: state.step,
-            learning_rate: sums.learning_rate,
-            loss: sums.loss / sums.items.max(1) as f64,
-            gradient_norm: steering
-                .clip_norm
-                .map(|_| sums.gradient_norm / sums.steps.max(1) as f64),
-            images_per_second: sums.items as f64 / started.elapsed().as_secs_f64(),
-            ..EpochRow::default()
-        };
-        let terms: Vec<f64> = sums
-            .terms
-            .iter()
-            .map(|sum| sum / sums.items.max(1) as f64)
-            .collect();
-        self.recipe.report_terms(&terms, &mut row);
-        Ok(row)
+        Ok(())
     }
 
     /// The learning rate of a step: a straight rise, then the schedule.
