@@ -26,7 +26,7 @@ use super::networks::{detector, ranging};
 use super::report::{Effort, Report, Timing, measure, milliseconds};
 use super::scene;
 
-/// Width and height of the published images.
+/// Width and height of the images.
 const SIZE: [u32; 2] = [2048, 1080];
 /// Long side of the detector's input for them.
 const IMAGE_SIZE: u32 = 640;
@@ -123,7 +123,7 @@ impl Networks {
     }
 }
 
-/// The published case: a pair in memory with one vehicle.
+/// A pair in memory with one vehicle.
 pub struct PairInMemory {
     networks: Networks,
     left: RgbImage,

@@ -14,7 +14,7 @@ const SEED: u64 = 1;
 /// Furthest camera from the vehicle, metres.
 const REACH_M: f64 = 60.0;
 
-/// Field of view and baseline of every rig here, those of the published one.
+/// Field of view and baseline of every rig here.
 const HFOV_DEG: f64 = 90.0;
 const BASELINE_M: f64 = 0.8;
 

@@ -209,7 +209,7 @@ pub fn run(bench: &mut Bench) -> Result<()> {
         ),
     ];
     for (network, title, case, batch) in networks {
-        // Alternating, so that both meet the machine in the same moods; the faster round counts.
+        // Alternating, so that a change of the machine's speed meets both; the faster round counts.
         let mut least_ms = [f64::INFINITY; 2];
         for _ in 0..ROUNDS {
             for (operations, least_ms) in OPERATIONS.iter().zip(&mut least_ms) {
