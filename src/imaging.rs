@@ -190,7 +190,7 @@ pub fn check_pair(
     ))
 }
 
-/// Reads both images of a stereo pair, left first.
+/// Reads both images of a stereo pair at the same time; left first in the result.
 ///
 /// # Errors
 /// Those of [`load_rgb`] and [`check_pair`].
@@ -199,8 +199,8 @@ pub fn load_pair(
     right_path: impl AsRef<Path>,
 ) -> Result<[RgbImage; 2]> {
     let (left_path, right_path) = (left_path.as_ref(), right_path.as_ref());
-    let left = load_rgb(left_path)?;
-    let right = load_rgb(right_path)?;
+    let (left, right) = rayon::join(|| load_rgb(left_path), || load_rgb(right_path));
+    let (left, right) = (left?, right?);
     check_pair(left_path, &left, right_path, &right)?;
     Ok([left, right])
 }
