@@ -347,10 +347,11 @@ fn narrower_vectors_pass_the_same_tests() {
 
 #[test]
 fn packed_convolutions_join_double_and_add_as_the_separate_operations_do() {
+    type Parts = &'static [(usize, bool)];
     let device = Device::flex();
     device.seed(16);
     // Parts by channels and whether they are of half the size; output channels, kernel, stride.
-    let cases: [(&[(usize, bool)], usize, usize, usize); 6] = [
+    let cases: [(Parts, usize, usize, usize); 6] = [
         (&[(5, false)], 7, 1, 1),
         (&[(16, true), (9, false)], 33, 1, 1),
         (&[(3, false), (20, true), (8, false), (1, true)], 16, 1, 1),

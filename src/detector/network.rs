@@ -24,6 +24,9 @@ pub struct Yolo11Config {
     pub class_width: Option<usize>,
 }
 
+/// Is shown the number and the output of a layer.
+type Observer<'a> = &'a mut dyn FnMut(usize, &Tensor<4>);
+
 /// The detector. Field `layerN` is layer N of the published table; the layers in between
 /// (up-sampling and concatenation) hold no weights.
 #[derive(Module, Debug)]
@@ -124,11 +127,7 @@ impl Yolo11 {
         self.run(input, Some(&mut observe))
     }
 
-    fn run(
-        &self,
-        input: Tensor<4>,
-        mut observe: Option<&mut dyn FnMut(usize, &Tensor<4>)>,
-    ) -> RawOutput {
+    fn run(&self, input: Tensor<4>, mut observe: Option<Observer>) -> RawOutput {
         let [_, _, height, width] = input.dims();
         assert!(
             height % 32 == 0 && width % 32 == 0,

@@ -112,23 +112,23 @@ pub fn forward(
         return pointwise(shape, sources, packed(shape.channels_in), epilogue);
     }
     let joined: Vec<f32>;
-    let pixels = match sources {
-        [
-            Source {
-                pixels,
-                doubled: false,
-            },
-        ] => *pixels,
-        _ => {
-            joined = join(sources, shape.height_in, shape.width_in);
-            let dims = [
-                shape.batch,
-                shape.height_in,
-                shape.width_in,
-                shape.channels_in,
-            ];
-            Pixels::dense(&joined, dims)
-        }
+    let pixels = if let [
+        Source {
+            pixels,
+            doubled: false,
+        },
+    ] = sources
+    {
+        *pixels
+    } else {
+        joined = join(sources, shape.height_in, shape.width_in);
+        let dims = [
+            shape.batch,
+            shape.height_in,
+            shape.width_in,
+            shape.channels_in,
+        ];
+        Pixels::dense(&joined, dims)
     };
     match algorithm {
         Algorithm::Depthwise => depthwise::forward(shape, pixels, weights, epilogue),

@@ -79,11 +79,15 @@ struct Forward<'a> {
     output: &'a mut [f32],
 }
 
+/// Neighbouring positions that are worked on together, so that their sums do not wait for one
+/// another.
+const POSITIONS: usize = 4;
+
 impl pulp::WithSimd for Forward<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
+    fn with_simd<S: Simd>(mut self, simd: S) {
         let ConvShape {
             channels_out: channels,
             kernel: [kernel_h, kernel_w],
@@ -92,40 +96,70 @@ impl pulp::WithSimd for Forward<'_> {
         } = *self.shape;
         let columns = self.shape.width_out();
         let pitch = (columns - 1) * stride + kernel_w;
+        // Where each tap lies behind a window's first value.
+        let taps: Vec<usize> = (0..kernel_h * kernel_w)
+            .map(|tap| (tap / kernel_w * pitch + tap % kernel_w) * channels)
+            .collect();
+        for row in 0..self.output.len() / (columns * channels) {
+            let mut column = 0;
+            while column < columns {
+                let window = (row * pitch + column) * stride * channels;
+                if columns - column >= POSITIONS {
+                    self.positions::<S, POSITIONS>(simd, row, column, window, &taps);
+                    column += POSITIONS;
+                } else {
+                    self.positions::<S, 1>(simd, row, column, window, &taps);
+                    column += 1;
+                }
+            }
+        }
+    }
+}
+
+impl Forward<'_> {
+    /// All channels of `P` neighbouring positions, the first one's window starting at `window`.
+    #[inline(always)]
+    fn positions<S: Simd, const P: usize>(
+        &mut self,
+        simd: S,
+        row: usize,
+        column: usize,
+        window: usize,
+        taps: &[usize],
+    ) {
+        let channels = self.shape.channels_out;
+        let step = self.shape.stride * channels;
         let width = channels.next_multiple_of(MAX_LANES);
         let zero = simd.splat_f32s(0.0);
-        for (index, pixel) in self.output.chunks_exact_mut(channels).enumerate() {
-            let (row, column) = (index / columns, index % columns);
-            for (vector, target) in pixel.chunks_mut(S::F32_LANES).enumerate() {
-                let first = vector * S::F32_LANES;
-                let count = target.len();
-                let mut x = match self.epilogue.bias {
-                    Some(bias) => simd::load(simd, &bias[first..first + count]),
-                    None => zero,
-                };
-                for ky in 0..kernel_h {
-                    for kx in 0..kernel_w {
-                        let source = (row * stride + ky) * pitch + column * stride + kx;
-                        let values = &self.band[source * channels + first..][..count];
-                        let weights = &self.weights[(ky * kernel_w + kx) * width + first..];
-                        x = simd.mul_add_f32s(
-                            simd::load(simd, values),
-                            simd::load(simd, &weights[..count]),
-                            x,
-                        );
-                    }
+        let pixel = row * self.shape.width_out() + column;
+        for first in (0..channels).step_by(S::F32_LANES) {
+            let count = S::F32_LANES.min(channels - first);
+            let mut sums = [zero; P];
+            if let Some(bias) = self.epilogue.bias {
+                sums = [simd::load(simd, &bias[first..first + count]); P];
+            }
+            for (tap, &offset) in taps.iter().enumerate() {
+                let weights = &self.weights[tap * width + first..][..count];
+                let weights = simd::load(simd, weights);
+                for (p, sum) in sums.iter_mut().enumerate() {
+                    let start = window + offset + p * step + first;
+                    let values = simd::load(simd, &self.band[start..start + count]);
+                    *sum = simd.mul_add_f32s(values, weights, *sum);
                 }
+            }
+            for (p, mut x) in sums.into_iter().enumerate() {
                 match self.epilogue.activation {
                     Activation::None => {}
                     Activation::Relu => x = simd.max_f32s(x, zero),
                     Activation::Silu => x = simd.mul_f32s(x, simd::sigmoid_vector(simd, x)),
                 }
                 if let Some(residual) = &self.epilogue.residual {
-                    let pixel = residual.pixel(self.image, self.first_row + row, column);
+                    let pixel = residual.pixel(self.image, self.first_row + row, column + p);
                     let values = simd::load(simd, &pixel[first..first + count]);
                     x = simd.add_f32s(x, values);
                 }
-                simd::store(simd, target, x);
+                let start = (pixel + p) * channels + first;
+                simd::store(simd, &mut self.output[start..start + count], x);
             }
         }
     }

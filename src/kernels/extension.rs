@@ -148,7 +148,11 @@ pub trait KernelBackend: Backend {
     }
 
     /// Weights in the form that [`KernelBackend::conv2d_packed`] takes, of one dimension.
-    fn conv2d_pack(weight: FloatTensor<Self>, _geometry: ConvGeometry) -> FloatTensor<Self> {
+    #[allow(
+        unused_variables,
+        reason = "the kernels' packing depends on the geometry"
+    )]
+    fn conv2d_pack(weight: FloatTensor<Self>, geometry: ConvGeometry) -> FloatTensor<Self> {
         let len = weight.shape().num_elements();
         Self::float_reshape(weight, Shape::new([len]))
     }

@@ -14,6 +14,10 @@
     reason = "code compiled for a vector width must be inlined into the function that enables it"
 )]
 #![allow(
+    clippy::needless_range_loop,
+    reason = "indices name the rows and columns of register tiles, several arrays at a time"
+)]
+#![allow(
     unsafe_code,
     reason = "vector loads and disjoint parallel stores; each block says why it is sound"
 )]

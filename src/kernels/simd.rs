@@ -22,9 +22,8 @@ pub const MAX_TILE: usize = MAX_POSITIONS * TILE_VECTORS * MAX_LANES;
 #[inline(always)]
 pub const fn tile_positions<S: Simd>() -> usize {
     match S::F32_LANES {
-        16 => 14,
+        4 | 16 => 14,
         8 => 6,
-        4 => 14,
         _ => 4,
     }
 }
@@ -196,6 +195,9 @@ unsafe fn product_tile<S: Simd, const P: usize, const V: usize>(
 /// # Safety
 /// Every run must be readable for all positions at all its steps, and `weights` for `V` vectors at
 /// as many steps as the runs have.
+///
+/// # Panics
+/// Without runs, or when the tile is too small.
 #[inline(always)]
 #[allow(clippy::too_many_arguments, reason = "two streams and where they meet")]
 pub unsafe fn product<S: Simd, const V: usize>(

@@ -128,7 +128,7 @@ fn add_rows(
         input.copy_window(image, [top, windows.corner[1]], [height, pitch], band);
         // Vectors of gradients must not reach beyond the last pixel's channels.
         let start = grad.offset(image, cut.start, 0);
-        let (values, grad_stride) = if grad.channels % lanes == 0 {
+        let (values, grad_stride) = if grad.channels.is_multiple_of(lanes) {
             (&grad.data[start..], grad.pixel_stride)
         } else {
             let width = grad.channels.next_multiple_of(lanes);

@@ -151,14 +151,11 @@ impl RangingNetwork {
     pub fn features(&self, composite: Tensor<4>) -> RangingFeatures {
         let [batch, ..] = composite.dims();
         let composite = kernels::pixels(composite);
-        let x = match &self.first_block {
-            Some((packed, bias)) => {
-                packed.forward(vec![composite], bias.clone(), None, Activation::None)
-            }
-            None => {
-                let (weight, bias) = self.merged_first_block();
-                kernels::conv2d_act(composite, weight, bias, PLAIN, Activation::None)
-            }
+        let x = if let Some((packed, bias)) = &self.first_block {
+            packed.forward(vec![composite], bias.clone(), None, Activation::None)
+        } else {
+            let (weight, bias) = self.merged_first_block();
+            kernels::conv2d_act(composite, weight, bias, PLAIN, Activation::None)
         };
         let mut x = kernels::twin_pool(x, TwinInput::Shared); // maximum first, then average
         let mut blocks = vec![kernels::planes(x.clone())];
