@@ -17,7 +17,7 @@ use support::fixture::{Fixture, assert_abs, assert_close, fixture_path};
 use support::trace::Trace;
 use support::{devices, network};
 use twinsight::detector::decode::decode;
-use twinsight::detector::weights::tensor_name;
+use twinsight::detector::weights::{load_detector, tensor_name};
 use twinsight::detector::{RawOutput, Scale, Yolo11, Yolo11Config};
 use twinsight::weights::StateDict;
 
@@ -212,6 +212,22 @@ fn a_folded_detector_gives_the_same_output() {
             );
         }
         check_decoded(&fixture, &raw, name);
+        // Loaded from its file it is the same function, whatever weights it was made with first.
+        let classes = 1;
+        let (loaded, report) = load_detector(&state, folded_scale(name), classes, &device).unwrap();
+        assert!(report.folded);
+        let loaded = loaded.forward(network::detector_input(&fixture, &device));
+        for (loaded, folded) in loaded.levels.iter().zip(&raw.levels) {
+            assert_eq!(network::values(loaded), network::values(folded), "{name}");
+        }
+    }
+}
+
+fn folded_scale(name: &str) -> Scale {
+    if name.starts_with("yolo11n") {
+        Scale::N
+    } else {
+        Scale::M
     }
 }
 

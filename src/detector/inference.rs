@@ -66,11 +66,15 @@ pub struct LetterboxedCandidates {
 impl VehicleDetector {
     /// Wraps a network, its normalisation merged, for inference on its device.
     pub fn new(network: &Yolo11, header: DetectorHeader, device: &Device) -> Self {
-        let device = device.clone().without_autodiff();
+        Self::fold(network.valid(), header, device)
+    }
+
+    /// Folds layer after layer, giving each one's weights free where nobody else holds them.
+    fn fold(network: Yolo11, header: DetectorHeader, device: &Device) -> Self {
         Self {
-            network: network.valid().folded(),
+            network: network.folded(),
             header,
-            device,
+            device: device.clone().without_autodiff(),
         }
     }
 
@@ -90,7 +94,10 @@ impl VehicleDetector {
             ));
         };
         let (network, _) = load_detector(&state, header.scale, header.classes.len(), device)?;
-        Ok(Self::new(&network, header, device))
+        drop(state);
+        let inference = network.valid();
+        drop(network);
+        Ok(Self::fold(inference, header, device))
     }
 
     /// Saves weights with their header.

@@ -73,6 +73,10 @@ pub fn load_detector(
     let fresh = config.init(device);
     let fresh = if folded { fresh.folded() } else { fresh };
     let mut detector = state.apply(fresh, tensor_name)?;
+    if folded {
+        // Pack the weights that came from the file.
+        detector = detector.folded();
+    }
     let classes_reset = *classes_in_file != classes;
     if classes_reset {
         detector.layer23.reset_classes(classes, device);

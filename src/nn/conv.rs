@@ -250,8 +250,9 @@ impl ConvBlock {
             // Parameters start a graph of their own.
             self.conv.weight = Param::from_tensor(weight.detach());
             self.conv.bias = Some(Param::from_tensor(bias.detach()));
-            self.conv = self.conv.packed();
         }
+        // Also of a block that is folded already: its weights may be others by now.
+        self.conv = self.conv.packed();
         self
     }
 }

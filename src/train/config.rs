@@ -122,6 +122,11 @@ pub struct DistanceTraining {
     /// Probability of the flip that keeps stereo true: both images mirrored, left and right
     /// exchanged.
     pub flip: f64,
+    /// Share that the averaged weights, which are validated and saved, keep of themselves at every
+    /// step; 0 averages nothing.
+    pub ema_decay: f64,
+    /// Steps over which that share rises.
+    pub ema_ramp: f64,
     /// Validate every so many epochs; the last one always is.
     pub validate_every: u32,
 }
@@ -208,6 +213,8 @@ impl TrainConfig {
             ("detector.clip_norm", detector.clip_norm, 1e-6..=1e9),
             ("detector.ema_decay", detector.ema_decay, share.clone()),
             ("detector.ema_ramp", detector.ema_ramp, 1.0..=1e9),
+            ("distance.ema_decay", distance.ema_decay, share.clone()),
+            ("distance.ema_ramp", distance.ema_ramp, 1.0..=1e9),
             (
                 "detector.validate_every",
                 f64::from(detector.validate_every),

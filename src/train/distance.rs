@@ -171,7 +171,8 @@ impl DistanceRecipe {
             schedule: settings.schedule,
             warmup_epochs: settings.warmup_epochs,
             clip_norm: None,
-            average: None,
+            average: (settings.ema_decay > 0.0)
+                .then_some((settings.ema_decay, settings.ema_ramp)),
             validate_every: settings.validate_every,
             settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }).to_string(),
         }
