@@ -33,10 +33,11 @@ const AFFINITY_STEPS: f64 = 1e6;
 pub enum PairingMode {
     /// The detector runs on both images, and its boxes are assigned to each other: both images are
     /// witnesses.
-    #[default]
     Detect,
     /// The detector runs on the left image alone, and its boxes are looked for in the right one:
-    /// half the detector's cost, and a disparity from pixels instead of two boxes.
+    /// half the detector's cost, and a disparity from pixels instead of two boxes. The default: at
+    /// equal recall it makes up as many vehicles as the other way.
+    #[default]
     Search,
 }
 

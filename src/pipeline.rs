@@ -29,11 +29,15 @@ pub struct PredictOptions {
     pub pairing: PairingConfig,
 }
 
+/// Usual least score of a detection: one image has to convince alone when the other one's box is
+/// searched.
+const CONFIDENCE: f32 = 0.35;
+
 impl Default for PredictOptions {
     fn default() -> Self {
         let nms = NmsConfig::prediction();
         Self {
-            confidence: nms.confidence,
+            confidence: CONFIDENCE,
             iou: nms.iou,
             pairing_mode: PairingMode::default(),
             pairing: PairingConfig::default(),

@@ -92,7 +92,7 @@ fn defaults_are_shown_in_the_help() {
         ("prepare", "340x170"),
         ("train", "flex"),
         ("evaluate", "test"),
-        ("predict", "0.25"),
+        ("predict", "0.35"),
     ] {
         let help = place.run([command, "--help"]).success();
         assert!(

@@ -36,6 +36,9 @@ pub struct EvaluateArgs {
     /// `search` on the left one alone
     #[arg(long, value_name = "HOW", value_parser = values::pairing_mode(), default_value_t = PredictOptions::default().pairing_mode)]
     pairing: PairingMode,
+    /// The pipeline's detections must score above this, 0 to 1
+    #[arg(long, value_parser = values::share, default_value_t = PredictOptions::default().confidence)]
+    confidence: f32,
     /// Write the figures to a JSON file as well
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -62,7 +65,11 @@ impl EvaluateArgs {
             data: &self.data,
             split: self.split,
             device: self.device,
-            pairing_mode: self.pairing,
+            options: PredictOptions {
+                confidence: self.confidence,
+                pairing_mode: self.pairing,
+                ..PredictOptions::default()
+            },
         };
         let evaluation = terminal::with_progress(quiet, |progress| evaluate(&request, progress))?;
         if let Some(path) = &self.json {

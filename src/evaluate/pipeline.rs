@@ -31,8 +31,8 @@ pub struct EvaluateRequest<'a> {
     pub split: Split,
     /// Where to compute.
     pub device: DeviceName,
-    /// How the pipeline finds boxes in the right image.
-    pub pairing_mode: PairingMode,
+    /// What the pipeline counts as a detection, and how it pairs.
+    pub options: PredictOptions,
 }
 
 /// How good a run is on a split.
@@ -48,6 +48,8 @@ pub struct Evaluation {
     pub frames: usize,
     /// How the pipeline found boxes in the right image.
     pub pairing_mode: PairingMode,
+    /// Detections of the pipeline scored above this.
+    pub confidence: f32,
     /// The detector on all images of the split.
     pub detection: DetectionFigures,
     /// The distance network on labelled boxes.
@@ -94,10 +96,7 @@ pub struct PipelineFigures {
 /// A run or dataset that cannot be used, an empty split, or a device that fails.
 pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Evaluation> {
     let device = request.device.open()?;
-    let ranger = StereoRanger::load(request.run, &device)?.with_options(PredictOptions {
-        pairing_mode: request.pairing_mode,
-        ..PredictOptions::default()
-    });
+    let ranger = StereoRanger::load(request.run, &device)?.with_options(request.options);
     let mut dataset = StereoDataset::open(request.data)?;
     if let Some(config) = saved_config(request.run)?
         && let Some(split) = config.split
@@ -160,6 +159,7 @@ pub fn evaluate_dataset(
         split,
         frames: frames.len(),
         pairing_mode: ranger.options().pairing_mode,
+        confidence: ranger.options().confidence,
         detection: DetectionFigures {
             images: source.len(),
             targets: detection.targets,
@@ -272,8 +272,8 @@ impl fmt::Display for Evaluation {
         } = self.detection;
         writeln!(
             f,
-            "split {}: {} frames, pairing {}",
-            self.split, self.frames, self.pairing_mode
+            "split {}: {} frames, pairing {}, confidence {}",
+            self.split, self.frames, self.pairing_mode, self.confidence
         )?;
         writeln!(f)?;
         writeln!(

@@ -78,8 +78,8 @@ impl Default for GenerateConfig {
     fn default() -> Self {
         Self {
             seed: 1,
-            frames: 600,
-            frames_per_scene: 15,
+            frames: 700,
+            frames_per_scene: 4,
             width: 640,
             height: 360,
             hfov_deg: 90.0,
@@ -257,7 +257,7 @@ mod tests {
     #[test]
     fn the_presets_are_valid_and_have_the_sizes_they_promise() {
         let quick = GenerateConfig::preset("quick").unwrap();
-        assert_eq!((quick.frames, quick.width, quick.scenes()), (600, 640, 40));
+        assert_eq!((quick.frames, quick.width, quick.scenes()), (700, 640, 175));
         assert_eq!(quick.test.unwrap().frames(), 36);
         let paper = GenerateConfig::preset("paper").unwrap();
         assert_eq!(

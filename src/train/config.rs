@@ -122,9 +122,6 @@ pub struct DistanceTraining {
     /// Probability of the flip that keeps stereo true: both images mirrored, left and right
     /// exchanged.
     pub flip: f64,
-    /// Probability that a vehicle is moved away: its pixels averaged, its box and its distance
-    /// changed alike, up to the longest distance of the training frames.
-    pub farther: f64,
     /// Share that the averaged weights, which are validated and saved, keep of themselves at every
     /// step; 0 averages nothing.
     pub ema_decay: f64,
@@ -216,7 +213,6 @@ impl TrainConfig {
             ("detector.clip_norm", detector.clip_norm, 1e-6..=1e9),
             ("detector.ema_decay", detector.ema_decay, share.clone()),
             ("detector.ema_ramp", detector.ema_ramp, 1.0..=1e9),
-            ("distance.farther", distance.farther, share.clone()),
             ("distance.ema_decay", distance.ema_decay, share.clone()),
             ("distance.ema_ramp", distance.ema_ramp, 1.0..=1e9),
             (

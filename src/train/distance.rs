@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor, TensorData};
-use image::{RgbImage, imageops};
+use image::RgbImage;
 use rand::RngExt as _;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
@@ -48,8 +48,6 @@ pub struct DistanceRecipe {
     device: Device,
     rig: StereoRig,
     train: Vec<Vehicle>,
-    /// Longest distance of a training vehicle, metres.
-    farthest_m: f64,
     val: Vec<Vehicle>,
     frames: FrameCache,
     header: RangingHeader,
@@ -103,10 +101,6 @@ impl DistanceRecipe {
             seed: config.seed,
             device: device.clone().autodiff(),
             rig: *dataset.rig(),
-            farthest_m: train
-                .iter()
-                .map(|vehicle| vehicle.label.distance_m)
-                .fold(0.0, f64::max),
             train,
             val: vehicles(Split::Val),
             frames: FrameCache::new(config.cache_mib << 20),
@@ -192,7 +186,7 @@ impl DistanceRecipe {
     ) -> Result<LoadedComposites> {
         let size = self.settings.composite;
         let mut planes = vec![0.0; vehicles.len() * size.plane_values()];
-        let numbers = planes
+        let geometry = planes
             .par_chunks_exact_mut(size.plane_values())
             .zip(vehicles)
             .enumerate()
@@ -203,37 +197,32 @@ impl DistanceRecipe {
                     let stream = (u128::from(epoch) << 64) | items[position] as u128;
                     Pcg64::new(u128::from(self.seed) + 1, stream)
                 });
-                let mut factor = 1.0;
                 if let Some(random) = &mut random {
                     boxes = boxes.map(|area| self.jitter(area, random));
-                    factor = self.recede(vehicle.label.distance_m, random);
                 }
-                let (width, height) = images[0].dimensions();
                 let [left, right] = &boxes;
-                let geometry = geometry_vector(left, right, width, height);
                 let normalization = &self.header.normalization;
-                if factor > 1.0 {
-                    let [(left_image, left), (right_image, right)] =
-                        [0, 1].map(|eye| shrunk(&images[eye], &boxes[eye], factor));
-                    let images = [&left_image, &right_image];
-                    composite_into_planes(images, [&left, &right], size, normalization, planes);
-                } else {
-                    let images = [&images[0], &images[1]];
-                    composite_into_planes(images, [left, right], size, normalization, planes);
-                }
+                composite_into_planes(
+                    [&images[0], &images[1]],
+                    [left, right],
+                    size,
+                    normalization,
+                    planes,
+                );
                 if let Some(random) = &mut random {
                     self.change(planes, random);
                 }
-                Ok((
-                    geometry.map(|side| (f64::from(side) / factor) as f32),
-                    (vehicle.label.distance_m * factor) as f32,
-                ))
+                let (width, height) = images[0].dimensions();
+                Ok(geometry_vector(left, right, width, height))
             })
-            .collect::<Result<Vec<([f32; 2], f32)>>>()?;
+            .collect::<Result<Vec<[f32; 2]>>>()?;
         Ok(LoadedComposites {
             planes,
-            geometry: numbers.iter().map(|numbers| numbers.0).collect(),
-            distances_m: numbers.iter().map(|numbers| numbers.1).collect(),
+            geometry,
+            distances_m: vehicles
+                .iter()
+                .map(|vehicle| vehicle.label.distance_m as f32)
+                .collect(),
         })
     }
 
@@ -248,14 +237,6 @@ impl DistanceRecipe {
             geometry: Tensor::from_data(geometry, device),
             distances_m: Tensor::from_data(TensorData::new(loaded.distances_m, [count, 1]), device),
         }
-    }
-
-    /// By how much a vehicle is moved away: log-uniform up to the farthest training vehicle, or 1.
-    fn recede(&self, distance_m: f64, random: &mut Pcg64) -> f64 {
-        if !random.random_bool(self.settings.farther) || distance_m >= self.farthest_m {
-            return 1.0;
-        }
-        (self.farthest_m / distance_m).powf(random.random_range(0.0..1.0))
     }
 
     /// Moves the edges of a box as a detector's errors do.
@@ -293,44 +274,6 @@ impl DistanceRecipe {
             mirror_composite(planes, size.height as usize, size.width as usize);
         }
     }
-}
-
-/// Pixels around a box that its crop may read.
-const CROP_MARGIN_PX: f64 = 2.0;
-
-/// A vehicle's part of an image as it would look `factor` times as far away, and its box there.
-///
-/// Pixels are averaged as a camera's are; perspective stays as it is, which for a vehicle at ten
-/// metres and more is all but the same.
-fn shrunk(image: &RgbImage, area: &PixelBox, factor: f64) -> (RgbImage, PixelBox) {
-    let (width, height) = image.dimensions();
-    let cut = |low: f64, high: f64, side: u32| {
-        let first = (low - CROP_MARGIN_PX)
-            .floor()
-            .clamp(0.0, f64::from(side - 1));
-        let last = (high + CROP_MARGIN_PX)
-            .ceil()
-            .clamp(first + 1.0, f64::from(side));
-        (first, last - first)
-    };
-    let (x, columns) = cut(area.x_min, area.x_max, width);
-    let (y, rows) = cut(area.y_min, area.y_max, height);
-    let crop = imageops::crop_imm(image, x as u32, y as u32, columns as u32, rows as u32);
-    let size = [columns, rows].map(|side| (side / factor).round().max(1.0));
-    let small = imageops::resize(
-        &*crop,
-        size[0] as u32,
-        size[1] as u32,
-        imageops::FilterType::Triangle,
-    );
-    let [scale_x, scale_y] = [size[0] / columns, size[1] / rows];
-    let moved = PixelBox::new(
-        (area.x_min - x) * scale_x,
-        (area.y_min - y) * scale_y,
-        (area.x_max - x) * scale_x,
-        (area.y_max - y) * scale_y,
-    );
-    (small, moved)
 }
 
 /// Composites `[batch, 3, height, width]`, geometry `[batch, 2]`, distances `[batch, 1]`.
@@ -456,50 +399,5 @@ impl FrameCache {
             kept.frames.insert(frame.row.stamp, Arc::clone(&images));
         }
         Ok(images)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use image::Rgb;
-
-    use super::*;
-
-    #[test]
-    fn a_vehicle_moved_away_keeps_its_place_in_the_crop_and_its_mean_colour() {
-        // A white square, 40 pixels a side, on black.
-        let image = RgbImage::from_fn(200, 120, |x, y| {
-            let inside = (60..100).contains(&x) && (40..80).contains(&y);
-            Rgb([if inside { 255 } else { 0 }; 3])
-        });
-        let area = PixelBox::new(50.0, 30.0, 110.0, 90.0);
-        for factor in [1.5, 2.0, 4.7] {
-            let (small, moved) = shrunk(&image, &area, factor);
-            assert!((moved.width() - 60.0 / factor).abs() < 1.0, "{moved:?}");
-            assert!((moved.height() - 60.0 / factor).abs() < 1.0, "{moved:?}");
-            let sum: f64 = small.pixels().map(|pixel| f64::from(pixel.0[0])).sum();
-            let expected = 255.0 * (40.0 / factor).powi(2);
-            assert!(
-                (sum / expected - 1.0).abs() < 0.1,
-                "{factor}: {sum} {expected}"
-            );
-            // The middle of the square is the middle of the box.
-            let [x, y] = moved.center().map(|at| at as u32);
-            assert_eq!(small.get_pixel(x, y).0, [255; 3], "{factor}");
-        }
-    }
-
-    #[test]
-    fn a_vehicle_at_the_edge_of_the_image_is_moved_away_without_reading_beyond_it() {
-        let image = RgbImage::from_pixel(64, 48, Rgb([9; 3]));
-        for area in [
-            PixelBox::new(-10.0, -5.0, 12.0, 20.0),
-            PixelBox::new(50.0, 40.0, 80.0, 60.0),
-            PixelBox::new(63.5, 47.5, 63.9, 47.9),
-        ] {
-            let (small, moved) = shrunk(&image, &area, 3.0);
-            assert!(small.width() > 0 && small.height() > 0);
-            assert!(moved.is_valid(), "{moved:?}");
-        }
     }
 }

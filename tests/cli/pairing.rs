@@ -7,11 +7,11 @@ use serde_json::Value;
 use super::{Workplace, with_dataset};
 
 #[test]
-fn the_default_is_to_detect_in_both_images() {
+fn the_default_is_to_search_the_right_image() {
     let place = Workplace::new();
     for command in ["evaluate", "predict"] {
         let help = place.run([command, "--help"]).success();
-        assert!(help.contains("--pairing") && help.contains("[default: detect]"));
+        assert!(help.contains("--pairing") && help.contains("[default: search]"));
     }
 }
 
