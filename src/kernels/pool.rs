@@ -26,24 +26,45 @@ pub fn forward(input: Pixels, kind: TwinInput) -> Vec<f32> {
     if output.is_empty() {
         return output;
     }
-    output
-        .par_chunks_exact_mut(row_values)
-        .with_min_len(4)
-        .enumerate()
-        .for_each(|(row, output)| {
-            let (image, y) = (row / rows, row % rows);
-            let source = match kind {
-                TwinInput::Shared => image % pathway,
-                TwinInput::Stacked => image,
-            };
-            simd::dispatch(PoolRow {
-                input: &input,
-                image: source,
-                y,
-                maximum: image < pathway,
-                output,
-            });
-        });
+    let half = output.len() / 2;
+    let (maxima, means) = output.split_at_mut(half);
+    match kind {
+        // Both from one look at the input, which is the largest tensor of the network.
+        TwinInput::Shared => maxima
+            .par_chunks_exact_mut(row_values)
+            .zip(means.par_chunks_exact_mut(row_values))
+            .with_min_len(4)
+            .enumerate()
+            .for_each(|(row, (maxima, means))| {
+                simd::dispatch(PoolRow {
+                    input: &input,
+                    image: row / rows,
+                    y: row % rows,
+                    maxima,
+                    means,
+                });
+            }),
+        TwinInput::Stacked => maxima
+            .par_chunks_exact_mut(row_values)
+            .chain(means.par_chunks_exact_mut(row_values))
+            .with_min_len(4)
+            .enumerate()
+            .for_each(|(row, output)| {
+                let image = row / rows;
+                let (maxima, means): (&mut [f32], &mut [f32]) = if image < pathway {
+                    (output, &mut [])
+                } else {
+                    (&mut [], output)
+                };
+                simd::dispatch(PoolRow {
+                    input: &input,
+                    image,
+                    y: row % rows,
+                    maxima,
+                    means,
+                });
+            }),
+    }
     output
 }
 
@@ -55,12 +76,13 @@ fn pathway_images(input: &Pixels, kind: TwinInput) -> usize {
     }
 }
 
+/// A row of windows; an empty output is not wanted.
 struct PoolRow<'a> {
     input: &'a Pixels<'a>,
     image: usize,
     y: usize,
-    maximum: bool,
-    output: &'a mut [f32],
+    maxima: &'a mut [f32],
+    means: &'a mut [f32],
 }
 
 /// The four pixels of a window.
@@ -83,7 +105,7 @@ impl pulp::WithSimd for PoolRow<'_> {
         let zero = simd.splat_f32s(0.0);
         let quarter = simd.splat_f32s(0.25);
         let channels = self.input.channels;
-        for (x, target) in self.output.chunks_exact_mut(channels).enumerate() {
+        for x in 0..self.input.width / 2 {
             let window = window(self.input, self.image, self.y, x);
             for first in (0..channels).step_by(S::F32_LANES) {
                 let end = channels.min(first + S::F32_LANES);
@@ -92,14 +114,17 @@ impl pulp::WithSimd for PoolRow<'_> {
                     *value = simd::load(simd, &pixel[first..end]);
                 }
                 let [a, b, c, d] = values;
-                let pooled = if self.maximum {
-                    simd.max_f32s(simd.max_f32s(a, b), simd.max_f32s(c, d))
-                } else {
+                let target = x * channels + first..x * channels + end;
+                if !self.maxima.is_empty() {
+                    let largest = simd.max_f32s(simd.max_f32s(a, b), simd.max_f32s(c, d));
+                    let largest = simd.max_f32s(largest, zero);
+                    simd::store(simd, &mut self.maxima[target.clone()], largest);
+                }
+                if !self.means.is_empty() {
                     let sum = simd.add_f32s(simd.add_f32s(a, b), simd.add_f32s(c, d));
-                    simd.mul_f32s(quarter, sum)
-                };
-                let pooled = simd.max_f32s(pooled, zero);
-                simd::store(simd, &mut target[first..end], pooled);
+                    let mean = simd.max_f32s(simd.mul_f32s(quarter, sum), zero);
+                    simd::store(simd, &mut self.means[target], mean);
+                }
             }
         }
     }
