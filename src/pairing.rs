@@ -392,7 +392,7 @@ mod tests {
             assert_eq!(json, format!("\"{mode}\""));
         }
         assert!("both".parse::<PairingMode>().is_err());
-        assert_eq!(PairingMode::default(), PairingMode::Detect);
+        assert_eq!(PairingMode::default(), PairingMode::Search);
     }
 
     #[test]

@@ -271,7 +271,8 @@ mod tests {
                 0
             };
         }
-        assert_eq!(validating, 120);
+        // A fifth of the 700 default frames.
+        assert_eq!(validating, 140);
     }
 
     #[test]
