@@ -14,6 +14,45 @@ use super::simd::{MAX_POSITIONS, Run, TILE_VECTORS};
 /// from one step's weights to the next, tile.
 pub type Tile = unsafe fn(*const Run, usize, usize, *const f32, usize, *mut f32);
 
+/// Takes up the next run at label 2 and begins its steps at label 3: its address and stride, and
+/// the addresses of positions 5 and 10, from which fourteen are within reach.
+macro_rules! begin_step {
+    () => {
+        concat!(
+            "2:\n",
+            "mov {b0}, [{runs}]\n",
+            "mov {s}, [{runs} + 8]\n",
+            "mov {n}, [{runs} + 16]\n",
+            "lea {s3}, [{s} + 2*{s}]\n",
+            "lea {b5}, [{b0} + 4*{s}]\n",
+            "add {b5}, {s}\n",
+            "lea {b10}, [{b5} + 4*{s}]\n",
+            "add {b10}, {s}\n",
+            "add {runs}, 24\n",
+            "test {n}, {n}\n",
+            "jz 4f\n",
+            "3:\n"
+        )
+    };
+}
+
+/// Goes on to the next step, and then to the next run.
+macro_rules! end_step {
+    () => {
+        concat!(
+            "add {b0}, {x}\n",
+            "add {b5}, {x}\n",
+            "add {b10}, {x}\n",
+            "add {w}, {y}\n",
+            "dec {n}\n",
+            "jnz 3b\n",
+            "4:\n",
+            "dec {count}\n",
+            "jnz 2b\n"
+        )
+    };
+}
+
 /// `tile!(one vector, two vectors: [sum, second sum, input address] of each position)`.
 macro_rules! tile {
     ($one:ident $two:ident: $([$a:tt $b:tt $address:tt])*) => {
@@ -32,30 +71,10 @@ macro_rules! tile {
             unsafe {
                 asm!(
                     $(concat!("vpxord ", $a, ", ", $a, ", ", $a),)*
-                    "2:",
-                    "mov {b0}, [{runs}]",
-                    "mov {s}, [{runs} + 8]",
-                    "mov {n}, [{runs} + 16]",
-                    "lea {s3}, [{s} + 2*{s}]",
-                    "lea {b5}, [{b0} + 4*{s}]",
-                    "add {b5}, {s}",
-                    "lea {b10}, [{b5} + 4*{s}]",
-                    "add {b10}, {s}",
-                    "add {runs}, 24",
-                    "test {n}, {n}",
-                    "jz 4f",
-                    "3:",
+                    begin_step!(),
                     "vmovups zmm28, [{w}]",
                     $(concat!("vfmadd231ps ", $a, ", zmm28, dword ptr [", $address, "]{{1to16}}"),)*
-                    "add {b0}, {x}",
-                    "add {b5}, {x}",
-                    "add {b10}, {x}",
-                    "add {w}, {y}",
-                    "dec {n}",
-                    "jnz 3b",
-                    "4:",
-                    "dec {count}",
-                    "jnz 2b",
+                    end_step!(),
                     $(concat!("vmovups [{tile}], ", $a), "add {tile}, 64",)*
                     runs = inout(reg) runs => _,
                     count = inout(reg) count => _,
@@ -92,19 +111,7 @@ macro_rules! tile {
                         concat!("vpxord ", $a, ", ", $a, ", ", $a),
                         concat!("vpxord ", $b, ", ", $b, ", ", $b),
                     )*
-                    "2:",
-                    "mov {b0}, [{runs}]",
-                    "mov {s}, [{runs} + 8]",
-                    "mov {n}, [{runs} + 16]",
-                    "lea {s3}, [{s} + 2*{s}]",
-                    "lea {b5}, [{b0} + 4*{s}]",
-                    "add {b5}, {s}",
-                    "lea {b10}, [{b5} + 4*{s}]",
-                    "add {b10}, {s}",
-                    "add {runs}, 24",
-                    "test {n}, {n}",
-                    "jz 4f",
-                    "3:",
+                    begin_step!(),
                     "vmovups zmm28, [{w}]",
                     "vmovups zmm29, [{w} + 64]",
                     $(
@@ -112,15 +119,7 @@ macro_rules! tile {
                         concat!("vfmadd231ps ", $a, ", zmm28, zmm30"),
                         concat!("vfmadd231ps ", $b, ", zmm29, zmm30"),
                     )*
-                    "add {b0}, {x}",
-                    "add {b5}, {x}",
-                    "add {b10}, {x}",
-                    "add {w}, {y}",
-                    "dec {n}",
-                    "jnz 3b",
-                    "4:",
-                    "dec {count}",
-                    "jnz 2b",
+                    end_step!(),
                     $(
                         concat!("vmovups [{tile}], ", $a),
                         concat!("vmovups [{tile} + 64], ", $b),

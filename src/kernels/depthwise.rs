@@ -6,12 +6,13 @@ use std::ops::Range;
 use pulp::Simd;
 use rayon::prelude::*;
 
-use super::conv::{Activation, Epilogue, SharedOutput, Windows, part};
+use super::epilogue::{Activation, Epilogue, SharedOutput, part};
 use super::layout::Pixels;
 use super::packed::{Algorithm, pack_weights};
 use super::shape::ConvShape;
 use super::simd::{self, MAX_LANES};
 use super::weight_grad::{by_image, partial_sums};
+use super::windows::Windows;
 
 /// Values of a band of input rows.
 const BAND_VALUES: usize = 64 * 1024;

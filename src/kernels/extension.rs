@@ -10,7 +10,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, ExtensionType, TensorMetadata, backend_extension};
 use burn::tensor::{IntDType, Shape, Slice};
 
-use super::conv::Activation;
+use super::epilogue::Activation;
 use super::pool::TwinInput;
 
 /// Stride, padding and groups of a convolution, the same along both axes.

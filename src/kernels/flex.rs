@@ -5,17 +5,20 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Flex, TensorMetadata};
 use burn::tensor::{DType, TensorData};
 
-use super::conv::{self, Activation, Epilogue, Source};
+use super::conv;
 use super::depthwise;
+use super::epilogue::{Activation, Epilogue};
 use super::extension::{
     ConvExtent, ConvGeometry, ConvInputs, KernelBackend, Residual, activate, pixels, planes,
 };
 use super::layout::{self, Pixels};
 use super::norm::{self, BatchStatistics};
 use super::packed::{self, Algorithm};
+use super::pointwise::{self, Source};
 use super::pool::{self, TwinInput};
 use super::shape::ConvShape;
 use super::weight_grad;
+use super::windows;
 
 type Tensor = FloatTensor<Flex>;
 
@@ -30,7 +33,7 @@ fn covered(
     let depthwise = geometry.groups > 1;
     if tensors.iter().any(|tensor| tensor.dtype() != DType::F32)
         || depthwise && (extent.channels_in != 1 || channels_in != extent.channels_out)
-        || extent.kernel[0] > conv::MAX_KERNEL
+        || extent.kernel[0] > windows::MAX_KERNEL
     {
         return None;
     }
@@ -242,7 +245,7 @@ impl KernelBackend for Flex {
         let Some(shape) = covered(dims, extent, geometry, &[&packed, &bias]) else {
             // Weights were left as they are.
             let weight = Self::float_reshape(packed, extent.dims().into());
-            let joined = tensor(conv::join(&sources, height, width), dims);
+            let joined = tensor(pointwise::join(&sources, height, width), dims);
             let output = Self::conv2d_bias_act(joined, weight, bias, geometry, activation);
             return match residual {
                 Some(residual) => Self::float_add(output, residual),
@@ -403,7 +406,7 @@ impl KernelBackend for Flex {
                 pixels,
                 doubled: true,
             };
-            conv::join(&[source], 2 * height, 2 * width)
+            pointwise::join(&[source], 2 * height, 2 * width)
         });
         tensor(values, [batch, 2 * height, 2 * width, channels])
     }

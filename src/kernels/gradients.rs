@@ -7,7 +7,7 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend};
 
-use super::conv::Activation;
+use super::epilogue::Activation;
 use super::extension::{ConvGeometry, KernelBackend, activate};
 use super::pool::TwinInput;
 

@@ -26,6 +26,7 @@
 mod avx512;
 pub mod conv;
 pub mod depthwise;
+pub mod epilogue;
 mod extension;
 #[cfg(feature = "flex")]
 mod flex;
@@ -34,17 +35,19 @@ pub mod layout;
 mod memory;
 pub mod norm;
 pub mod packed;
+pub mod pointwise;
 pub mod pool;
 pub mod shape;
 pub mod simd;
 pub mod weight_grad;
+mod windows;
 pub mod winograd;
 mod winograd_grad;
 
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
-pub use conv::Activation;
+pub use epilogue::Activation;
 pub use extension::{ConvExtent, ConvGeometry, ConvInputs, KernelBackend, Residual};
 pub use memory::keep_freed_memory;
 pub use pool::TwinInput;

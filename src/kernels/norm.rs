@@ -6,7 +6,7 @@
 use pulp::Simd;
 use rayon::prelude::*;
 
-use super::conv::Activation;
+use super::epilogue::Activation;
 use super::simd;
 
 /// Least values of a row, where there are enough pixels.

@@ -10,11 +10,12 @@ use std::ops::Range;
 use pulp::Simd;
 use rayon::prelude::*;
 
-use super::conv::{Windows, part};
+use super::epilogue::part;
 use super::layout::Pixels;
 use super::packed::Algorithm;
 use super::shape::ConvShape;
 use super::simd::{self, MAX_LANES, TILE_VECTORS};
+use super::windows::Windows;
 use super::winograd::grow;
 use super::winograd_grad;
 

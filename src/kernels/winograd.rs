@@ -12,7 +12,7 @@ use std::ops::Range;
 use pulp::Simd;
 use rayon::prelude::*;
 
-use super::conv::{Epilogue, Place, SharedOutput, panel_bias, part, store};
+use super::epilogue::{Epilogue, Place, SharedOutput, panel_bias, part, store};
 use super::layout::Pixels;
 use super::packed::{Packed, Panel, pack as pack_panels};
 use super::shape::ConvShape;
@@ -149,25 +149,35 @@ impl Tiles {
     }
 }
 
+/// Takes `N` neighbouring values of a tile to the points, along one axis.
+pub(super) trait ToPoints<const N: usize> {
+    /// The transform of vectors.
+    fn points<S: Simd>(simd: S, values: [S::f32s; N]) -> [S::f32s; SIDE];
+}
+
 /// `B^T d`: six inputs to six points.
-#[inline(always)]
-fn input_points<S: Simd>(simd: S, d: [S::f32s; SIDE]) -> [S::f32s; SIDE] {
-    let two = simd.splat_f32s(2.0);
-    let four = simd.splat_f32s(4.0);
-    let minus_four = simd.splat_f32s(-4.0);
-    let minus_five = simd.splat_f32s(-5.0);
-    let a = simd.mul_add_f32s(minus_four, d[2], d[4]);
-    let b = simd.mul_add_f32s(minus_four, d[1], d[3]);
-    let e = simd.sub_f32s(d[4], d[2]);
-    let f = simd.mul_f32s(two, simd.sub_f32s(d[3], d[1]));
-    [
-        simd.mul_add_f32s(four, d[0], simd.mul_add_f32s(minus_five, d[2], d[4])),
-        simd.add_f32s(a, b),
-        simd.sub_f32s(a, b),
-        simd.add_f32s(e, f),
-        simd.sub_f32s(e, f),
-        simd.mul_add_f32s(four, d[1], simd.mul_add_f32s(minus_five, d[3], d[5])),
-    ]
+pub(super) struct InputPoints;
+
+impl ToPoints<SIDE> for InputPoints {
+    #[inline(always)]
+    fn points<S: Simd>(simd: S, d: [S::f32s; SIDE]) -> [S::f32s; SIDE] {
+        let two = simd.splat_f32s(2.0);
+        let four = simd.splat_f32s(4.0);
+        let minus_four = simd.splat_f32s(-4.0);
+        let minus_five = simd.splat_f32s(-5.0);
+        let a = simd.mul_add_f32s(minus_four, d[2], d[4]);
+        let b = simd.mul_add_f32s(minus_four, d[1], d[3]);
+        let e = simd.sub_f32s(d[4], d[2]);
+        let f = simd.mul_f32s(two, simd.sub_f32s(d[3], d[1]));
+        [
+            simd.mul_add_f32s(four, d[0], simd.mul_add_f32s(minus_five, d[2], d[4])),
+            simd.add_f32s(a, b),
+            simd.sub_f32s(a, b),
+            simd.add_f32s(e, f),
+            simd.sub_f32s(e, f),
+            simd.mul_add_f32s(four, d[1], simd.mul_add_f32s(minus_five, d[3], d[5])),
+        ]
+    }
 }
 
 /// `A^T m`: six points to four outputs.
@@ -188,30 +198,29 @@ fn outputs<S: Simd>(simd: S, m: [S::f32s; SIDE]) -> [S::f32s; STEP] {
 }
 
 /// Takes tiles of an image to their points, `points[point][tile][channel]`; channels are padded to
-/// whole vectors of `width` values in all.
+/// whole vectors. A tile has `N x N` pixels from its corner on; those outside
+/// of the image are zero.
 #[inline(always)]
-pub(super) fn transform_inputs<S: Simd>(
+pub(super) fn transform<S: Simd, const N: usize, T: ToPoints<N>>(
     simd: S,
     input: &Pixels,
     image: usize,
-    tiles: Tiles,
-    range: Range<usize>,
+    corners: impl ExactSizeIterator<Item = [isize; 2]>,
     points: &mut [f32],
 ) {
     let lanes = S::F32_LANES;
     let zero = simd.splat_f32s(0.0);
-    let count = range.len();
+    let count = corners.len();
     let width = input.channels.next_multiple_of(lanes);
     assert!(points.len() >= POINTS * count * width);
     let size = [input.height as isize, input.width as isize];
-    for (index, tile) in range.enumerate() {
-        let [top, left] = tiles.input_corner(tile);
+    for (index, [top, left]) in corners.enumerate() {
         for first in (0..input.channels).step_by(lanes) {
             let channels = lanes.min(input.channels - first);
-            let mut half = [[zero; SIDE]; SIDE];
-            for column in 0..SIDE {
+            let mut half = [[zero; N]; SIDE];
+            for column in 0..N {
                 let x = left + column as isize;
-                let mut values = [zero; SIDE];
+                let mut values = [zero; N];
                 if x >= 0 && x < size[1] {
                     for (row, value) in values.iter_mut().enumerate() {
                         let y = top + row as isize;
@@ -222,13 +231,13 @@ pub(super) fn transform_inputs<S: Simd>(
                         }
                     }
                 }
-                let values = input_points(simd, values);
+                let values = T::points(simd, values);
                 for row in 0..SIDE {
                     half[row][column] = values[row];
                 }
             }
             for (row, half) in half.iter().enumerate() {
-                let values = input_points(simd, *half);
+                let values = T::points(simd, *half);
                 for (column, &value) in values.iter().enumerate() {
                     let start = ((row * SIDE + column) * count + index) * width + first;
                     // SAFETY: `points` holds `width` values for every point and tile (checked
@@ -270,14 +279,9 @@ impl pulp::WithSimd for Forward<'_> {
         grow(self.points, POINTS * count * width);
         grow(self.products, POINTS * count * TILE_VECTORS * MAX_LANES);
         let points = &mut self.points[..];
-        transform_inputs(
-            simd,
-            &self.input,
-            self.image,
-            self.tiles,
-            self.range.clone(),
-            points,
-        );
+        let tiles = self.tiles;
+        let corners = self.range.clone().map(|tile| tiles.input_corner(tile));
+        transform::<S, SIDE, InputPoints>(simd, &self.input, self.image, corners, points);
         let work = Panels {
             shape: self.shape,
             tiles: self.tiles,

@@ -10,12 +10,12 @@ use std::ops::Range;
 use pulp::Simd;
 use rayon::prelude::*;
 
-use super::conv::part;
+use super::epilogue::part;
 use super::layout::Pixels;
 use super::shape::ConvShape;
 use super::simd::{self, MAX_LANES, TILE_VECTORS};
 use super::weight_grad::{by_image, partial_sums};
-use super::winograd::{KERNEL, POINTS, SIDE, STEP, Tiles, grow, transform_inputs};
+use super::winograd::{InputPoints, KERNEL, POINTS, SIDE, STEP, Tiles, ToPoints, grow, transform};
 
 /// Tiles that are summed at a time.
 const TASK_TILES: usize = 32;
@@ -83,22 +83,26 @@ pub(super) fn backward_weight(shape: &ConvShape, input: Pixels, grad: Pixels) ->
 }
 
 /// `A g`: the gradients of four outputs to six points.
-#[inline(always)]
-fn grad_points<S: Simd>(simd: S, g: [S::f32s; STEP]) -> [S::f32s; SIDE] {
-    let two = simd.splat_f32s(2.0);
-    let four = simd.splat_f32s(4.0);
-    let even = simd.add_f32s(g[0], g[2]);
-    let odd = simd.add_f32s(g[1], g[3]);
-    let far_even = simd.mul_add_f32s(four, g[2], g[0]);
-    let far_odd = simd.mul_f32s(two, simd.mul_add_f32s(four, g[3], g[1]));
-    [
-        g[0],
-        simd.add_f32s(even, odd),
-        simd.sub_f32s(even, odd),
-        simd.add_f32s(far_even, far_odd),
-        simd.sub_f32s(far_even, far_odd),
-        g[3],
-    ]
+struct GradPoints;
+
+impl ToPoints<STEP> for GradPoints {
+    #[inline(always)]
+    fn points<S: Simd>(simd: S, g: [S::f32s; STEP]) -> [S::f32s; SIDE] {
+        let two = simd.splat_f32s(2.0);
+        let four = simd.splat_f32s(4.0);
+        let even = simd.add_f32s(g[0], g[2]);
+        let odd = simd.add_f32s(g[1], g[3]);
+        let far_even = simd.mul_add_f32s(four, g[2], g[0]);
+        let far_odd = simd.mul_f32s(two, simd.mul_add_f32s(four, g[3], g[1]));
+        [
+            g[0],
+            simd.add_f32s(even, odd),
+            simd.sub_f32s(even, odd),
+            simd.add_f32s(far_even, far_odd),
+            simd.sub_f32s(far_even, far_odd),
+            g[3],
+        ]
+    }
 }
 
 /// Some tiles of one image.
@@ -127,22 +131,13 @@ impl pulp::WithSimd for Block<'_> {
         let width = self.shape.channels_out.next_multiple_of(MAX_LANES);
         grow(self.inputs, POINTS * count * input_width);
         grow(self.grads, POINTS * count * grad_width);
-        transform_inputs(
-            simd,
-            &self.input,
-            self.image,
-            self.tiles,
-            self.range.clone(),
-            self.inputs,
-        );
-        transform_grads(
-            simd,
-            &self.grad,
-            self.image,
-            self.tiles,
-            self.range.clone(),
-            self.grads,
-        );
+        let (tiles, image) = (self.tiles, self.image);
+        let corners = self.range.clone().map(|tile| tiles.input_corner(tile));
+        transform::<S, SIDE, InputPoints>(simd, &self.input, image, corners, self.inputs);
+        let corners = self
+            .range
+            .map(|tile| tiles.corner(tile).map(|side| side as isize));
+        transform::<S, STEP, GradPoints>(simd, &self.grad, image, corners, self.grads);
         let parts = channels_in.div_ceil(simd::tile_positions::<S>());
         for point in 0..POINTS {
             let inputs = &self.inputs[point * count * input_width..];
@@ -184,60 +179,6 @@ impl pulp::WithSimd for Block<'_> {
                                 width,
                             );
                         }
-                    }
-                }
-            }
-        }
-    }
-}
-
-/// Takes tiles of the outputs' gradient to their points, `points[point][tile][channel]`.
-#[inline(always)]
-fn transform_grads<S: Simd>(
-    simd: S,
-    grad: &Pixels,
-    image: usize,
-    tiles: Tiles,
-    range: Range<usize>,
-    points: &mut [f32],
-) {
-    let lanes = S::F32_LANES;
-    let zero = simd.splat_f32s(0.0);
-    let count = range.len();
-    let width = grad.channels.next_multiple_of(lanes);
-    assert!(points.len() >= POINTS * count * width);
-    for (index, tile) in range.enumerate() {
-        let [top, left] = tiles.corner(tile);
-        for first in (0..grad.channels).step_by(lanes) {
-            let channels = lanes.min(grad.channels - first);
-            let mut half = [[zero; STEP]; SIDE];
-            for column in 0..STEP {
-                let mut values = [zero; STEP];
-                if left + column < grad.width {
-                    for (row, value) in values.iter_mut().enumerate() {
-                        if top + row < grad.height {
-                            let start = grad.offset(image, top + row, left + column) + first;
-                            *value = simd::load(simd, &grad.data[start..start + channels]);
-                        }
-                    }
-                }
-                let values = grad_points(simd, values);
-                for row in 0..SIDE {
-                    half[row][column] = values[row];
-                }
-            }
-            for (row, half) in half.iter().enumerate() {
-                let values = grad_points(simd, *half);
-                for (column, &value) in values.iter().enumerate() {
-                    let start = ((row * SIDE + column) * count + index) * width + first;
-                    // SAFETY: `points` holds `width` values for every point and tile (checked
-                    // above), and `first + lanes <= width`.
-                    unsafe {
-                        points
-                            .as_mut_ptr()
-                            .add(start)
-                            .cast::<S::f32s>()
-                            .write_unaligned(value);
                     }
                 }
             }
