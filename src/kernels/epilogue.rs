@@ -44,6 +44,10 @@ impl SharedOutput {
         Self(output.as_mut_ptr())
     }
 
+    pub(super) fn of(output: &mut [f32]) -> Self {
+        Self(output.as_mut_ptr())
+    }
+
     pub(super) fn get(self) -> *mut f32 {
         self.0
     }

@@ -25,6 +25,13 @@ pub struct ConvGeometry {
 }
 
 impl ConvGeometry {
+    /// Stride 1, no padding, one group.
+    pub const PLAIN: Self = Self {
+        stride: 1,
+        padding: 0,
+        groups: 1,
+    };
+
     /// As Burn's own options.
     pub(super) fn options(self) -> ConvOptions<2> {
         ConvOptions::new([self.stride; 2], [self.padding; 2], [1; 2], self.groups)
@@ -58,16 +65,16 @@ impl ConvExtent {
     }
 }
 
-/// Inputs of a convolution, their channels one behind the other.
+/// A few tensors in order, such as the inputs of a convolution.
 #[derive(ExtensionType)]
-pub enum ConvInputs<B: Backend> {
-    /// The whole input.
+pub enum Tensors<B: Backend> {
+    /// One alone.
     One(FloatTensor<B>),
-    /// In two parts.
+    /// Two.
     Two(FloatTensor<B>, FloatTensor<B>),
-    /// In three parts.
+    /// Three.
     Three(FloatTensor<B>, FloatTensor<B>, FloatTensor<B>),
-    /// In four parts.
+    /// Four.
     Four(
         FloatTensor<B>,
         FloatTensor<B>,
@@ -76,24 +83,24 @@ pub enum ConvInputs<B: Backend> {
     ),
 }
 
-impl<B: Backend> ConvInputs<B> {
-    /// Most parts.
+impl<B: Backend> Tensors<B> {
+    /// Most tensors.
     pub const MOST: usize = 4;
 
-    /// All parts; None where there are none or too many.
-    pub fn from_parts(parts: Vec<FloatTensor<B>>) -> Option<Self> {
-        let mut parts = parts.into_iter();
-        let first = parts.next()?;
-        match [parts.next(), parts.next(), parts.next(), parts.next()] {
-            [None, ..] => Some(Self::One(first)),
-            [Some(b), None, ..] => Some(Self::Two(first, b)),
-            [Some(b), Some(c), None, _] => Some(Self::Three(first, b, c)),
+    /// All of them; None where there are none or too many.
+    pub fn from_vec(tensors: Vec<FloatTensor<B>>) -> Option<Self> {
+        let mut tensors = tensors.into_iter();
+        let first = tensors.next()?;
+        match std::array::from_fn(|_| tensors.next()) {
+            [None, None, None, None] => Some(Self::One(first)),
+            [Some(b), None, None, None] => Some(Self::Two(first, b)),
+            [Some(b), Some(c), None, None] => Some(Self::Three(first, b, c)),
             [Some(b), Some(c), Some(d), None] => Some(Self::Four(first, b, c, d)),
             _ => None,
         }
     }
 
-    /// The parts in order.
+    /// The tensors in order.
     pub fn into_vec(self) -> Vec<FloatTensor<B>> {
         match self {
             Self::One(a) => vec![a],
@@ -160,7 +167,7 @@ pub trait KernelBackend: Backend {
     /// `activation(conv(inputs) + bias) + residual` with packed weights, for inference. The
     /// inputs' channels follow one another; inputs of half the first one's size are doubled.
     fn conv2d_packed(
-        #[extension_type] inputs: ConvInputs<Self>,
+        #[extension_type] inputs: Tensors<Self>,
         packed: FloatTensor<Self>,
         bias: FloatTensor<Self>,
         #[extension_type] residual: Residual<Self>,
@@ -175,6 +182,18 @@ pub trait KernelBackend: Backend {
             Residual::Of(residual) => Self::float_add(output, residual),
             Residual::None => output,
         }
+    }
+
+    /// Unpadded convolutions with stride 1, one after the other, each with packed weights and a bias,
+    /// then [`KernelBackend::twin_pool`]; for inference.
+    fn conv2d_chain_pool(
+        input: FloatTensor<Self>,
+        #[extension_type] packed: Tensors<Self>,
+        #[extension_type] biases: Tensors<Self>,
+        extents: Vec<ConvExtent>,
+        kind: TwinInput,
+    ) -> FloatTensor<Self> {
+        chain_link_by_link::<Self>(input, packed.into_vec(), biases.into_vec(), extents, kind)
     }
 
     /// Gradient of a convolution's input.
@@ -365,6 +384,23 @@ fn join<B: KernelBackend>(inputs: Vec<FloatTensor<B>>) -> FloatTensor<B> {
         })
         .collect();
     B::float_cat(inputs, 3)
+}
+
+/// [`KernelBackend::conv2d_chain_pool`] from one convolution at a time.
+pub(super) fn chain_link_by_link<B: KernelBackend>(
+    input: FloatTensor<B>,
+    packed: Vec<FloatTensor<B>>,
+    biases: Vec<FloatTensor<B>>,
+    extents: Vec<ConvExtent>,
+    kind: TwinInput,
+) -> FloatTensor<B> {
+    let links = packed.into_iter().zip(biases).zip(extents);
+    let output = links.fold(input, |x, ((packed, bias), extent)| {
+        let (x, residual) = (Tensors::One(x), Residual::None);
+        let (geometry, activation) = (ConvGeometry::PLAIN, Activation::None);
+        B::conv2d_packed(x, packed, bias, residual, extent, geometry, activation)
+    });
+    B::twin_pool(output, kind)
 }
 
 /// Settings of every pooling in the ranging network, as Burn's operations take them.

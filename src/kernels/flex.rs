@@ -5,11 +5,13 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Flex, TensorMetadata};
 use burn::tensor::{DType, TensorData};
 
+use super::chain::{self, Link};
 use super::conv;
 use super::depthwise;
 use super::epilogue::{Activation, Epilogue};
 use super::extension::{
-    ConvExtent, ConvGeometry, ConvInputs, KernelBackend, Residual, activate, pixels, planes,
+    ConvExtent, ConvGeometry, KernelBackend, Residual, Tensors, activate, chain_link_by_link,
+    pixels, planes,
 };
 use super::layout::{self, Pixels};
 use super::norm::{self, BatchStatistics};
@@ -212,7 +214,7 @@ impl KernelBackend for Flex {
     }
 
     fn conv2d_packed(
-        inputs: ConvInputs<Self>,
+        inputs: Tensors<Self>,
         packed: Tensor,
         bias: Tensor,
         residual: Residual<Self>,
@@ -263,6 +265,51 @@ impl KernelBackend for Flex {
             })
         });
         tensor(values, output_shape(&shape))
+    }
+
+    fn conv2d_chain_pool(
+        input: Tensor,
+        packed: Tensors<Self>,
+        biases: Tensors<Self>,
+        extents: Vec<ConvExtent>,
+        kind: TwinInput,
+    ) -> Tensor {
+        let (packed, biases) = (packed.into_vec(), biases.into_vec());
+        let mut size = input.shape().dims::<4>();
+        let is_covered = extents.iter().enumerate().all(|(i, &extent)| {
+            let tensors = [&input, &packed[i], &biases[i]];
+            let Some(shape) = covered(size, extent, ConvGeometry::PLAIN, &tensors) else {
+                return false;
+            };
+            size = output_shape(&shape);
+            true
+        });
+        if !is_covered {
+            return chain_link_by_link::<Self>(input, packed, biases, extents, kind);
+        }
+        let [packed, biases] = [packed, biases].map(|tensors| {
+            let tensors = tensors.iter();
+            tensors
+                .map(|tensor| with_values(tensor, <[f32]>::to_vec))
+                .collect::<Vec<_>>()
+        });
+        let links: Vec<Link> = extents
+            .iter()
+            .enumerate()
+            .map(|(i, extent)| Link {
+                channels_out: extent.channels_out,
+                kernel: extent.kernel,
+                weights: &packed[i],
+                bias: &biases[i],
+            })
+            .collect();
+        let values = with_pixels(&input, |input| chain::forward(input, &links, kind));
+        let [batch, height, width, channels] = size;
+        let images = match kind {
+            TwinInput::Shared => 2 * batch,
+            TwinInput::Stacked => batch,
+        };
+        tensor(values, [images, height / 2, width / 2, channels])
     }
 
     fn conv2d_input_grad(

@@ -24,6 +24,7 @@
 
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+pub mod chain;
 pub mod conv;
 pub mod depthwise;
 pub mod epilogue;
@@ -48,7 +49,7 @@ use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
 pub use epilogue::Activation;
-pub use extension::{ConvExtent, ConvGeometry, ConvInputs, KernelBackend, Residual};
+pub use extension::{ConvExtent, ConvGeometry, KernelBackend, Residual, Tensors};
 pub use memory::keep_freed_memory;
 pub use pool::TwinInput;
 
@@ -125,13 +126,13 @@ impl PackedConv {
         residual: Option<Tensor<4>>,
         activation: Activation,
     ) -> Tensor<4> {
-        let parts = if inputs.len() > ConvInputs::<Dispatch>::MOST {
+        let parts = if inputs.len() > Tensors::<Dispatch>::MOST {
             vec![join(inputs)]
         } else {
             inputs
         };
         let parts = parts.into_iter().map(Tensor::into_dispatch).collect();
-        let Some(parts) = ConvInputs::from_parts(parts) else {
+        let Some(parts) = Tensors::from_vec(parts) else {
             unreachable!("a convolution has an input");
         };
         let residual = residual.map_or(Residual::None, |residual| {
@@ -148,6 +149,44 @@ impl PackedConv {
         );
         Tensor::from_dispatch(output)
     }
+}
+
+/// Unpadded convolutions with stride 1, one after the other, then [`twin_pool`], for inference.
+///
+/// The kernels of the default device compute a few rows at a time of everything; no convolution's
+/// output is written to memory as a whole.
+///
+/// # Shapes
+/// - `input`: `[batch, height, width, channels]`, or twice the batch when stacked
+/// - `links`: packed weights and biases `[channels_out]`, at least one
+/// - output: `[2 batch, height / 2, width / 2, channels]` of the last convolution's output
+pub fn conv2d_chain_pool(
+    input: Tensor<4>,
+    links: &[(&PackedConv, Tensor<1>)],
+    kind: TwinInput,
+) -> Tensor<4> {
+    let tensors = |tensor: &dyn Fn(&(&PackedConv, Tensor<1>)) -> Tensor<1>| {
+        let tensors = links.iter().map(|link| tensor(link).into_dispatch());
+        Tensors::from_vec(tensors.collect())
+    };
+    let packed = tensors(&|(conv, _)| conv.packed.clone());
+    let biases = tensors(&|(_, bias)| bias.clone());
+    let (Some(packed), Some(biases)) = (packed, biases) else {
+        // Longer chains go link by link.
+        let output = links.iter().fold(input, |x, (conv, bias)| {
+            conv.forward(vec![x], bias.clone(), None, Activation::None)
+        });
+        return twin_pool(output, kind);
+    };
+    let extents = links.iter().map(|(conv, _)| conv.extent).collect();
+    let output = <Dispatch as KernelBackend>::conv2d_chain_pool(
+        input.into_dispatch(),
+        packed,
+        biases,
+        extents,
+        kind,
+    );
+    Tensor::from_dispatch(output)
 }
 
 /// What [`batch_norm_act`] returns.

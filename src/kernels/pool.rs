@@ -36,13 +36,7 @@ pub fn forward(input: Pixels, kind: TwinInput) -> Vec<f32> {
             .with_min_len(4)
             .enumerate()
             .for_each(|(row, (maxima, means))| {
-                simd::dispatch(PoolRow {
-                    input: &input,
-                    image: row / rows,
-                    y: row % rows,
-                    maxima,
-                    means,
-                });
+                self::row(&input, row / rows, row % rows, maxima, means);
             }),
         TwinInput::Stacked => maxima
             .par_chunks_exact_mut(row_values)
@@ -56,24 +50,29 @@ pub fn forward(input: Pixels, kind: TwinInput) -> Vec<f32> {
                 } else {
                     (&mut [], output)
                 };
-                simd::dispatch(PoolRow {
-                    input: &input,
-                    image,
-                    y: row % rows,
-                    maxima,
-                    means,
-                });
+                self::row(&input, image, row % rows, maxima, means);
             }),
     }
     output
 }
 
 /// Images of one pathway.
-fn pathway_images(input: &Pixels, kind: TwinInput) -> usize {
+pub(super) fn pathway_images(input: &Pixels, kind: TwinInput) -> usize {
     match kind {
         TwinInput::Shared => input.images,
         TwinInput::Stacked => input.images / 2,
     }
+}
+
+/// Pools row `y` of an image's windows; an output that is empty is not wanted.
+pub(super) fn row(input: &Pixels, image: usize, y: usize, maxima: &mut [f32], means: &mut [f32]) {
+    simd::dispatch(PoolRow {
+        input,
+        image,
+        y,
+        maxima,
+        means,
+    });
 }
 
 /// A row of windows; an empty output is not wanted.

@@ -79,34 +79,48 @@ impl Windows {
             1 if rows == 1 => 1,
             count => count.next_multiple_of(2).min(rows),
         };
-        let direct = pixels.pixel_stride == pixels.channels && self.inside(&pixels);
         (0..pixels.images * bands).into_par_iter().for_each(|task| {
-            let mut scratch = SCRATCH.take();
             let (image, rows) = (task / bands, part(rows, task % bands, bands));
-            let top = self.corner[0] + (rows.start * self.stride) as isize;
-            let (input, pitch) = if direct {
-                let start = pixels.offset(image, top.unsigned_abs(), self.corner[1].unsigned_abs());
-                (&pixels.data[start..], pixels.width)
-            } else {
-                let height = (rows.len() - 1) * self.stride + self.kernel[0];
-                scratch.resize(height * pitch * pixels.channels, 0.0);
-                let corner = [top, self.corner[1]];
-                pixels.copy_window(image, corner, [height, pitch], &mut scratch);
-                (&scratch[..], pitch)
-            };
-            simd::dispatch(Band {
-                windows: self,
-                input,
-                pitch,
-                channels: pixels.channels,
-                weights,
-                epilogue,
-                image,
-                rows,
-                output,
-            });
-            SCRATCH.set(scratch);
+            self.run_rows(pixels, weights, epilogue, image, rows, output);
         });
+    }
+
+    /// Computes some rows of positions of one image.
+    pub(super) fn run_rows(
+        &self,
+        pixels: Pixels,
+        weights: Packed,
+        epilogue: &Epilogue,
+        image: usize,
+        rows: Range<usize>,
+        output: SharedOutput,
+    ) {
+        let top = self.corner[0] + (rows.start * self.stride) as isize;
+        let mut scratch = SCRATCH.take();
+        let direct = pixels.pixel_stride == pixels.channels && self.inside(&pixels);
+        let (input, pitch) = if direct {
+            let start = pixels.offset(image, top.unsigned_abs(), self.corner[1].unsigned_abs());
+            (&pixels.data[start..], pixels.width)
+        } else {
+            let pitch = (self.positions[1] - 1) * self.stride + self.kernel[1];
+            let height = (rows.len() - 1) * self.stride + self.kernel[0];
+            scratch.resize(height * pitch * pixels.channels, 0.0);
+            let corner = [top, self.corner[1]];
+            pixels.copy_window(image, corner, [height, pitch], &mut scratch);
+            (&scratch[..], pitch)
+        };
+        simd::dispatch(Band {
+            windows: self,
+            input,
+            pitch,
+            channels: pixels.channels,
+            weights,
+            epilogue,
+            image,
+            rows,
+            output,
+        });
+        SCRATCH.set(scratch);
     }
 }
 

@@ -89,24 +89,54 @@ pub(super) fn forward(
     let tiles = Tiles::new(shape);
     let tasks = tiles.tasks(TASK_TILES);
     (0..shape.batch * tasks).into_par_iter().for_each(|task| {
-        let (mut points, mut products) = SCRATCH.take();
-        simd::dispatch(Forward {
-            shape,
-            tiles,
-            input,
-            weights,
-            epilogue,
-            image: task / tasks,
-            range: part(tiles.count(), task % tasks, tasks),
-            points: &mut points,
-            products: &mut products,
-            output: shared,
-        });
-        SCRATCH.set((points, products));
+        let range = part(tiles.count(), task % tasks, tasks);
+        run_tiles(shape, input, weights, epilogue, task / tasks, range, shared);
     });
     // SAFETY: the tiles cover every image, and all channels of their pixels were written.
     unsafe { output.set_len(total) };
     output
+}
+
+/// Computes one image on this thread.
+pub(super) fn run_image(
+    shape: &ConvShape,
+    input: Pixels,
+    weights: Packed,
+    epilogue: &Epilogue,
+    output: SharedOutput,
+) {
+    let tiles = Tiles::new(shape);
+    let parts = tiles.count().div_ceil(TASK_TILES);
+    for index in 0..parts {
+        let range = part(tiles.count(), index, parts);
+        run_tiles(shape, input, weights, epilogue, 0, range, output);
+    }
+}
+
+/// Computes some tiles of one image.
+fn run_tiles(
+    shape: &ConvShape,
+    input: Pixels,
+    weights: Packed,
+    epilogue: &Epilogue,
+    image: usize,
+    range: Range<usize>,
+    output: SharedOutput,
+) {
+    let (mut points, mut products) = SCRATCH.take();
+    simd::dispatch(Forward {
+        shape,
+        tiles: Tiles::new(shape),
+        input,
+        weights,
+        epilogue,
+        image,
+        range,
+        points: &mut points,
+        products: &mut products,
+        output,
+    });
+    SCRATCH.set((points, products));
 }
 
 /// How an output is cut into tiles.

@@ -113,6 +113,12 @@ impl Conv {
         add(output, residual)
     }
 
+    /// The packed weights and the bias, once [`Conv::packed`] has made them.
+    pub fn link(&self) -> Option<(&PackedConv, Tensor<1>)> {
+        let bias = self.bias.as_ref()?;
+        Some((self.packed.as_ref()?, bias.val()))
+    }
+
     /// The same function with its weights packed for inference.
     pub fn packed(mut self) -> Self {
         self.packed = Some(PackedConv::new(self.weight.val(), self.geometry));

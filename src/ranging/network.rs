@@ -20,13 +20,6 @@ pub const BLOCK_CHANNELS: [&[usize]; 5] = [
     &[10, 5, 5],
 ];
 
-/// Every convolution: stride 1, no padding.
-const PLAIN: ConvGeometry = ConvGeometry {
-    stride: 1,
-    padding: 0,
-    groups: 1,
-};
-
 /// Numbers in the geometry vector: normalised box width and height.
 const GEOMETRY: usize = 2;
 const HIDDEN: [usize; 2] = [128, 64];
@@ -151,17 +144,23 @@ impl RangingNetwork {
     pub fn features(&self, composite: Tensor<4>) -> RangingFeatures {
         let [batch, ..] = composite.dims();
         let composite = kernels::pixels(composite);
-        let x = if let Some((packed, bias)) = &self.first_block {
-            packed.forward(vec![composite], bias.clone(), None, Activation::None)
+        let mut x = if let Some((packed, bias)) = &self.first_block {
+            kernels::conv2d_chain_pool(composite, &[(packed, bias.clone())], TwinInput::Shared)
         } else {
             let (weight, bias) = self.merged_first_block();
-            kernels::conv2d_act(composite, weight, bias, PLAIN, Activation::None)
-        };
-        let mut x = kernels::twin_pool(x, TwinInput::Shared); // maximum first, then average
+            let plain = ConvGeometry::PLAIN;
+            let x = kernels::conv2d_act(composite, weight, bias, plain, Activation::None);
+            kernels::twin_pool(x, TwinInput::Shared)
+        }; // maximum first, then average
         let mut blocks = vec![kernels::planes(x.clone())];
         for block in &self.blocks[1..] {
-            x = block.iter().fold(x, |x, layer| layer.forward(x));
-            x = kernels::twin_pool(x, TwinInput::Stacked);
+            let links: Option<Vec<_>> = block.iter().map(Conv::link).collect();
+            x = if let Some(links) = links {
+                kernels::conv2d_chain_pool(x, &links, TwinInput::Stacked)
+            } else {
+                let x = block.iter().fold(x, |x, layer| layer.forward(x));
+                kernels::twin_pool(x, TwinInput::Stacked)
+            };
             blocks.push(kernels::planes(x.clone()));
         }
         let x = kernels::planes(x);
@@ -188,7 +187,10 @@ impl RangingNetwork {
     /// 4 multiplications.
     pub fn packed(mut self) -> Self {
         let (weight, bias) = self.merged_first_block();
-        self.first_block = Some((PackedConv::new(weight.detach(), PLAIN), bias.detach()));
+        self.first_block = Some((
+            PackedConv::new(weight.detach(), ConvGeometry::PLAIN),
+            bias.detach(),
+        ));
         self.blocks = self
             .blocks
             .into_iter()
