@@ -111,7 +111,7 @@ impl Yolo11 {
     /// # Panics
     /// When a side of the input is not a multiple of 32.
     pub fn forward(&self, input: Tensor<4>) -> RawOutput {
-        self.run(input, None)
+        kernels::on_pool(&input.device(), || self.run(input, None))
     }
 
     /// [`Yolo11::forward`], showing the output of every layer 0 to 22 as it is made, `[batch,

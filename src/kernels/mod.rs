@@ -28,6 +28,7 @@ pub mod chain;
 pub mod conv;
 pub mod depthwise;
 pub mod epilogue;
+pub mod expectation;
 mod extension;
 #[cfg(feature = "flex")]
 mod flex;
@@ -46,12 +47,36 @@ pub mod winograd;
 mod winograd_grad;
 
 use burn::backend::Dispatch;
-use burn::tensor::Tensor;
+use burn::tensor::{Device, Tensor};
 
 pub use epilogue::Activation;
 pub use extension::{ConvExtent, ConvGeometry, KernelBackend, Residual, Tensors};
 pub use memory::keep_freed_memory;
 pub use pool::TwinInput;
+
+/// Whether tensors on the device are in the processor's memory and go through our own kernels.
+pub fn is_native(device: &Device) -> bool {
+    #[cfg(feature = "flex")]
+    if *device == Device::flex() {
+        return true;
+    }
+    let _ = device;
+    false
+}
+
+/// Runs a network's forward pass where its kernels start fastest: on a thread of the pool that they
+/// share their work out to, if the device has kernels of our own.
+///
+/// From another thread every kernel would hand its work over and sleep until it is done: two
+/// changes of threads, a hundred times in a small detector. Passes that record gradients stay on
+/// their thread, since Burn's running statistics belong to the thread that updates them.
+pub fn on_pool<R: Send>(device: &Device, work: impl FnOnce() -> R + Send) -> R {
+    if is_native(device) && !device.is_autodiff() {
+        rayon::scope(|_| work())
+    } else {
+        work()
+    }
+}
 
 /// Convolution without bias or activation, differentiable.
 ///

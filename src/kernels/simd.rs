@@ -285,16 +285,16 @@ pub unsafe fn add_outer<S: Simd, const V: usize>(
     }
 }
 
-/// `1 / (1 + e^-x)` to about 3 units in the last place.
+/// `e^x` to about 2 units in the last place, for arguments from -87.3 to 88.3 (others count as the
+/// nearer end).
 ///
-/// The exponential by Cody and Waite's reduction and the degree-6 polynomial of the Cephes
-/// library's `expf`; arguments beyond the range of `f32` saturate.
+/// By Cody and Waite's reduction and the degree-6 polynomial of the Cephes library's `expf`.
 #[inline(always)]
-pub fn sigmoid_vector<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+pub fn exp_vector<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let splat = |value: f32| simd.splat_f32s(value);
     // 1.5 * 2^23: adding it rounds to an integer.
     let round = splat(12_582_912.0);
-    let x = simd.min_f32s(simd.max_f32s(simd.neg_f32s(x), splat(-87.3)), splat(88.3));
+    let x = simd.min_f32s(simd.max_f32s(x, splat(-87.3)), splat(88.3));
     let shifted = simd.mul_add_f32s(x, splat(std::f32::consts::LOG2_E), round);
     let n = simd.sub_f32s(shifted, round);
     let r = simd.mul_add_f32s(n, splat(-0.693_359_4), x);
@@ -313,8 +313,15 @@ pub fn sigmoid_vector<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     // The low bits of `shifted` hold n; moved to the exponent they are a factor 2^n.
     let bits = simd.wrapping_dyn_shl_u32s(simd.transmute_u32s_f32s(shifted), simd.splat_u32s(23));
     let power = simd.transmute_f32s_u32s(simd.add_u32s(bits, simd.splat_u32s(0x3f80_0000)));
-    let e = simd.mul_f32s(e, power);
-    simd.div_f32s(splat(1.0), simd.add_f32s(splat(1.0), e))
+    simd.mul_f32s(e, power)
+}
+
+/// `1 / (1 + e^-x)` to about 3 units in the last place.
+#[inline(always)]
+pub fn sigmoid_vector<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    let one = simd.splat_f32s(1.0);
+    let e = exp_vector(simd, simd.neg_f32s(x));
+    simd.div_f32s(one, simd.add_f32s(one, e))
 }
 
 #[cfg(test)]

@@ -128,7 +128,9 @@ impl RangingNetwork {
     /// - geometry: `[batch, 2]`, normalised box width and height
     /// - output: `[batch, 1]`, metres
     pub fn forward(&self, composite: Tensor<4>, geometry: Tensor<2>) -> Tensor<2> {
-        self.readout(self.features(composite).fc2, geometry)
+        kernels::on_pool(&composite.device(), || {
+            self.readout(self.features(composite).fc2, geometry)
+        })
     }
 
     /// The last layer: features and geometry to metres.
