@@ -116,6 +116,7 @@ fn labels(stamp: u64, side: &str) -> Vec<Label> {
         distance_m: 10.0 + stamp as f64,
         kind,
         visible: Some(0.75),
+        ignored: false,
     })
     .to_vec()
 }

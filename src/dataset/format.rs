@@ -79,8 +79,11 @@ pub struct Label {
     pub distance_m: f64,
     /// The kind of box.
     pub kind: BoxKind,
-    /// Fraction of the silhouette that is not hidden, 0 to 1.
+    /// Fraction of the silhouette that is inside the image and not hidden, 0 to 1.
     pub visible: Option<f64>,
+    /// Neither to be learnt nor to be judged: finding it is right, not finding it is no miss. Such
+    /// a label's distance may be unknown, which is NaN.
+    pub ignored: bool,
 }
 
 /// `dataset.toml`.

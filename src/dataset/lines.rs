@@ -25,7 +25,10 @@ pub const FRAMES_HEADER: [&str; 8] = [
 
 /// First line of the label files that this crate writes.
 pub const LABEL_HEADER: &str =
-    "# id class x_min y_min x_max y_max center_x center_y distance_m kind visible\n";
+    "# id class x_min y_min x_max y_max center_x center_y distance_m kind visible ignored\n";
+
+/// Last word of a label line that is neither learnt from nor judged.
+const IGNORED: &str = "ignored";
 
 /// A stamp as it stands in file names: at least five digits, `00042`.
 pub fn stamp_name(stamp: u64) -> String {
@@ -37,7 +40,7 @@ pub fn stamp_name(stamp: u64) -> String {
 const DECIMALS_SCALE: f64 = 1e4;
 
 /// The shortest text of a number rounded to four decimals; integers have no decimal point.
-fn short(value: f64) -> f64 {
+pub(super) fn short(value: f64) -> f64 {
     // The sum turns -0 into 0.
     (value * DECIMALS_SCALE).round() / DECIMALS_SCALE + 0.0
 }
@@ -72,6 +75,10 @@ impl Label {
         if let Some(visible) = self.visible {
             write!(line, " {}", short(visible)).ok();
         }
+        if self.ignored {
+            line.push(' ');
+            line.push_str(IGNORED);
+        }
         line
     }
 
@@ -101,11 +108,15 @@ impl Label {
         let distance_m = field(&mut fields, "distance_m")?;
         let kind = field(&mut fields, "kind")?;
         let visible = match fields.clone().next() {
+            None | Some(IGNORED) => None,
             Some(_) => Some(field(&mut fields, "visible")?),
-            None => None,
         };
-        if let Some(surplus) = fields.next() {
-            return Err(format!("a surplus field '{surplus}' after 'visible'"));
+        let ignored = fields.clone().next() == Some(IGNORED);
+        if let Some(surplus) = fields.nth(usize::from(ignored)) {
+            return Err(format!(
+                "a surplus field '{surplus}' at the end: after 'kind' may stand the visible \
+                 fraction and the word '{IGNORED}'"
+            ));
         }
         let label = Self {
             id,
@@ -115,6 +126,7 @@ impl Label {
             distance_m,
             kind,
             visible,
+            ignored,
         };
         label.check()?;
         Ok(Some(label))
@@ -124,7 +136,7 @@ impl Label {
     ///
     /// # Errors
     /// The reason in words: a number that is not finite, an empty or inverted box, a distance that
-    /// is not positive, a visible fraction outside 0 to 1.
+    /// is not positive (an ignored vehicle's may be NaN), a visible fraction outside 0 to 1.
     pub fn check(&self) -> Result<(), String> {
         let id = self.id;
         let PixelBox {
@@ -149,7 +161,8 @@ impl Label {
                 "vehicle {id}: the box {x_min} {y_min} {x_max} {y_max} is empty or inverted"
             ));
         }
-        if !(self.distance_m.is_finite() && self.distance_m > 0.0) {
+        let unknown = self.ignored && self.distance_m.is_nan();
+        if !unknown && !(self.distance_m.is_finite() && self.distance_m > 0.0) {
             return Err(format!(
                 "vehicle {id}: the distance is {} m",
                 self.distance_m

@@ -9,14 +9,21 @@ fn label() -> Label {
         distance_m: 104.9876,
         kind: BoxKind::Tight,
         visible: Some(0.5),
+        ignored: false,
     }
 }
 
 #[test]
 fn a_label_comes_back_from_its_line() {
     for visible in [None, Some(0.0), Some(0.1234), Some(1.0)] {
-        let label = Label { visible, ..label() };
-        assert_eq!(Label::parse_line(&label.to_line()), Ok(Some(label)));
+        for ignored in [false, true] {
+            let label = Label {
+                visible,
+                ignored,
+                ..label()
+            };
+            assert_eq!(Label::parse_line(&label.to_line()), Ok(Some(label)));
+        }
     }
 }
 
@@ -26,6 +33,29 @@ fn a_label_line_has_the_fields_of_the_format_in_their_order() {
         label().to_line(),
         "12 1 -3.5 0 1020.0625 77.1234 508.25 38.0001 104.9876 tight 0.5"
     );
+}
+
+#[test]
+fn an_ignored_label_ends_with_the_word_and_may_have_no_distance() {
+    let ignored = Label {
+        ignored: true,
+        ..label()
+    };
+    assert!(ignored.to_line().ends_with(" tight 0.5 ignored"));
+    let far = Label {
+        distance_m: f64::NAN,
+        visible: None,
+        ..ignored
+    };
+    let line = far.to_line();
+    assert!(line.ends_with(" NaN tight ignored"), "{line}");
+    let back = Label::parse_line(&line).unwrap().unwrap();
+    assert!(back.ignored && back.distance_m.is_nan());
+    // Without the word the same distance is an error, and nothing may stand after it.
+    let message = Label::parse_line(line.trim_end_matches(" ignored")).unwrap_err();
+    assert!(message.contains("distance is NaN"), "{message}");
+    let message = Label::parse_line(&format!("{line} ignored")).unwrap_err();
+    assert!(message.contains("surplus field 'ignored'"), "{message}");
 }
 
 #[test]
