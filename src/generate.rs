@@ -169,9 +169,10 @@ fn labels(stage: &Stage, rig: &StereoRig, pose: &RigPose, eye: Eye, distance_m: 
                 class: 0,
                 box_pixel: box_pixel?,
                 center_pixel: camera.pixel_from_camera(center_camera)?,
-                distance_m,
+                distance_m: Some(distance_m),
                 kind,
                 visible: Some(silhouette.visible),
+                ignored: false,
             })
         })
         .collect()

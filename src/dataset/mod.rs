@@ -27,4 +27,5 @@ pub use lines::{
 pub use prepare::{PrepareReport, is_prepared, prepare};
 pub use reader::StereoDataset;
 pub use resplit::SplitBy;
+pub(crate) use resplit::choose_validation;
 pub use source::{DetectionItem, DetectionSource, RangingItem, RangingSource};

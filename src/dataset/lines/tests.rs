@@ -6,9 +6,10 @@ fn label() -> Label {
         class: 1,
         box_pixel: PixelBox::new(-3.5, 0.0, 1020.0625, 77.1234),
         center_pixel: [508.25, 38.0001],
-        distance_m: 104.9876,
+        distance_m: Some(104.9876),
         kind: BoxKind::Tight,
         visible: Some(0.5),
+        ignored: false,
     }
 }
 
@@ -26,6 +27,17 @@ fn a_label_line_has_the_fields_of_the_format_in_their_order() {
         label().to_line(),
         "12 1 -3.5 0 1020.0625 77.1234 508.25 38.0001 104.9876 tight 0.5"
     );
+}
+
+#[test]
+fn an_unknown_distance_is_a_dash() {
+    let label = Label {
+        distance_m: None,
+        ..label()
+    };
+    let line = label.to_line();
+    assert!(line.contains(" 508.25 38.0001 - tight "), "{line}");
+    assert_eq!(Label::parse_line(&line), Ok(Some(label)));
 }
 
 #[test]

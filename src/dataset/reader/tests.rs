@@ -172,6 +172,8 @@ fn a_vehicle_in_one_image_only_is_no_pair_and_no_problem() {
     assert_eq!(
         frame
             .right
+            .as_ref()
+            .unwrap()
             .boxes(BoxKind::Sphere, &dataset.rig().right)
             .len(),
         1
