@@ -113,7 +113,7 @@ fn labels(stamp: u64, side: &str) -> Vec<Label> {
         class: 0,
         box_pixel,
         center_pixel: box_pixel.center(),
-        distance_m: 10.0 + stamp as f64,
+        distance_m: Some(10.0 + stamp as f64),
         kind,
         visible: Some(0.75),
         ignored: false,

@@ -30,6 +30,9 @@ pub const LABEL_HEADER: &str =
 /// Last word of a label line that is neither learnt from nor judged.
 const IGNORED: &str = "ignored";
 
+/// Stands in a label line for a distance that nobody knows.
+const UNKNOWN: &str = "-";
+
 /// A stamp as it stands in file names: at least five digits, `00042`.
 pub fn stamp_name(stamp: u64) -> String {
     format!("{stamp:05}")
@@ -59,18 +62,14 @@ impl Label {
         } = self.box_pixel;
         let mut line = format!("{} {}", self.id, self.class);
         let [center_x, center_y] = self.center_pixel;
-        for value in [
-            x_min,
-            y_min,
-            x_max,
-            y_max,
-            center_x,
-            center_y,
-            self.distance_m,
-        ] {
+        for value in [x_min, y_min, x_max, y_max, center_x, center_y] {
             // Writing to a String cannot fail.
             write!(line, " {}", short(value)).ok();
         }
+        match self.distance_m {
+            Some(distance_m) => write!(line, " {}", short(distance_m)).ok(),
+            None => write!(line, " {UNKNOWN}").ok(),
+        };
         write!(line, " {}", self.kind).ok();
         if let Some(visible) = self.visible {
             write!(line, " {}", short(visible)).ok();
@@ -105,7 +104,12 @@ impl Label {
             field(&mut fields, "center_x")?,
             field(&mut fields, "center_y")?,
         ];
-        let distance_m = field(&mut fields, "distance_m")?;
+        let distance_m = if fields.clone().next() == Some(UNKNOWN) {
+            fields.next();
+            None
+        } else {
+            Some(field(&mut fields, "distance_m")?)
+        };
         let kind = field(&mut fields, "kind")?;
         let visible = match fields.clone().next() {
             None | Some(IGNORED) => None,
@@ -136,7 +140,7 @@ impl Label {
     ///
     /// # Errors
     /// The reason in words: a number that is not finite, an empty or inverted box, a distance that
-    /// is not positive (an ignored vehicle's may be NaN), a visible fraction outside 0 to 1.
+    /// is not positive, a visible fraction outside 0 to 1.
     pub fn check(&self) -> Result<(), String> {
         let id = self.id;
         let PixelBox {
@@ -161,12 +165,10 @@ impl Label {
                 "vehicle {id}: the box {x_min} {y_min} {x_max} {y_max} is empty or inverted"
             ));
         }
-        let unknown = self.ignored && self.distance_m.is_nan();
-        if !unknown && !(self.distance_m.is_finite() && self.distance_m > 0.0) {
-            return Err(format!(
-                "vehicle {id}: the distance is {} m",
-                self.distance_m
-            ));
+        if let Some(distance_m) = self.distance_m
+            && !(distance_m.is_finite() && distance_m > 0.0)
+        {
+            return Err(format!("vehicle {id}: the distance is {distance_m} m"));
         }
         match self.visible {
             Some(visible) if !(0.0..=1.0).contains(&visible) => Err(format!(

@@ -29,4 +29,5 @@ pub use objects::{ObjectRow, objects_csv_text, read_objects_csv, write_objects_c
 pub use prepare::{PrepareReport, is_prepared, prepare};
 pub use reader::StereoDataset;
 pub use resplit::SplitBy;
+pub(crate) use resplit::choose_validation;
 pub use source::{DetectionItem, DetectionSource, RangingItem, RangingSource};

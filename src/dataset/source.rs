@@ -75,7 +75,7 @@ pub struct DetectionItem {
     pub side: Side,
 }
 
-/// Both images of every frame of a split, for the detector: left and right of a frame in turn.
+/// All images of every frame of a split, for the detector: left and right of a frame in turn.
 #[derive(Debug)]
 pub struct DetectionSource {
     entries: Vec<DetectionEntry>,
@@ -100,13 +100,13 @@ impl DetectionSource {
         let entries = dataset
             .split(split)
             .into_iter()
-            .flat_map(|frame| Side::ALL.map(|side| (frame, side)))
-            .map(|(frame, side)| {
-                let camera = match side {
-                    Side::Left => rig.left,
-                    Side::Right => rig.right,
-                };
-                let image = frame.side(side);
+            .flat_map(|frame| {
+                frame
+                    .images()
+                    .map(move |(side, image)| (frame, side, image))
+            })
+            .map(|(frame, side, image)| {
+                let camera = *rig.camera(side);
                 DetectionEntry {
                     boxes: image.boxes(kind, &camera),
                     ignored: image.ignored_boxes(kind, &camera),

@@ -142,7 +142,10 @@ pub fn evaluate_dataset(
     progress.status("pipeline");
     let mut true_boxes = DistanceErrors::new();
     let mut tally = Tally::default();
-    for frame in &frames {
+    if !dataset.info.stereo {
+        progress.note("the dataset has single images: only the detector is judged");
+    }
+    for frame in frames.iter().filter(|_| dataset.info.stereo) {
         if progress.interrupted() {
             progress.end();
             return Err(Error::Interrupted {

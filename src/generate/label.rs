@@ -49,7 +49,7 @@ pub(super) fn labels(
                 class: 0,
                 box_pixel: box_pixel?,
                 center_pixel: center_pixel.unwrap_or_else(|| tight.center()),
-                distance_m,
+                distance_m: Some(distance_m),
                 kind,
                 visible: Some(silhouette.visible),
                 ignored,

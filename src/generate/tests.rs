@@ -236,7 +236,7 @@ fn hidden_small_and_far_vehicles_are_labelled_but_ignored() {
         .iter()
         .flat_map(|frame| frame.left.labels_of(BoxKind::Tight))
         .collect();
-    let is_far = |label: &Label| label.distance_m < 10.0 || label.distance_m > 25.0;
+    let is_far = |label: &Label| !(10.0..=25.0).contains(&label.distance_m.unwrap());
     for label in &labels {
         let [width, height] = [label.box_pixel.width(), label.box_pixel.height()];
         // Files keep four decimals of what decided.

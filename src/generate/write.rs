@@ -116,6 +116,7 @@ impl Target {
             version: FORMAT_VERSION,
             classes: vec!["car".to_owned()],
             label_kinds: vec![BoxKind::Sphere, BoxKind::Tight],
+            stereo: true,
             rig,
             made_by: made_by(config)?,
         };

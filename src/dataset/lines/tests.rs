@@ -6,7 +6,7 @@ fn label() -> Label {
         class: 1,
         box_pixel: PixelBox::new(-3.5, 0.0, 1020.0625, 77.1234),
         center_pixel: [508.25, 38.0001],
-        distance_m: 104.9876,
+        distance_m: Some(104.9876),
         kind: BoxKind::Tight,
         visible: Some(0.5),
         ignored: false,
@@ -36,26 +36,26 @@ fn a_label_line_has_the_fields_of_the_format_in_their_order() {
 }
 
 #[test]
-fn an_ignored_label_ends_with_the_word_and_may_have_no_distance() {
+fn an_ignored_label_ends_with_the_word_and_nothing_stands_after_it() {
     let ignored = Label {
         ignored: true,
         ..label()
     };
-    assert!(ignored.to_line().ends_with(" tight 0.5 ignored"));
-    let far = Label {
-        distance_m: f64::NAN,
-        visible: None,
-        ..ignored
-    };
-    let line = far.to_line();
-    assert!(line.ends_with(" NaN tight ignored"), "{line}");
-    let back = Label::parse_line(&line).unwrap().unwrap();
-    assert!(back.ignored && back.distance_m.is_nan());
-    // Without the word the same distance is an error, and nothing may stand after it.
-    let message = Label::parse_line(line.trim_end_matches(" ignored")).unwrap_err();
-    assert!(message.contains("distance is NaN"), "{message}");
+    let line = ignored.to_line();
+    assert!(line.ends_with(" tight 0.5 ignored"), "{line}");
     let message = Label::parse_line(&format!("{line} ignored")).unwrap_err();
     assert!(message.contains("surplus field 'ignored'"), "{message}");
+}
+
+#[test]
+fn an_unknown_distance_is_a_dash() {
+    let label = Label {
+        distance_m: None,
+        ..label()
+    };
+    let line = label.to_line();
+    assert!(line.contains(" 508.25 38.0001 - tight "), "{line}");
+    assert_eq!(Label::parse_line(&line), Ok(Some(label)));
 }
 
 #[test]
