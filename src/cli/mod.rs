@@ -5,8 +5,10 @@
 
 mod devices;
 mod evaluate;
+mod export;
 mod files;
 mod generate;
+mod import;
 mod predict;
 mod prepare;
 mod presets;
@@ -48,6 +50,8 @@ Examples:
 #[derive(Debug, Subcommand)]
 enum Command {
     Generate(generate::GenerateArgs),
+    Import(import::ImportArgs),
+    Export(export::ExportArgs),
     Prepare(prepare::PrepareArgs),
     Train(Box<train::TrainArgs>),
     Evaluate(evaluate::EvaluateArgs),
@@ -60,6 +64,8 @@ impl Cli {
     pub fn run(&self) -> Result<()> {
         match &self.command {
             Command::Generate(args) => args.run(self.quiet),
+            Command::Import(args) => args.run(self.quiet),
+            Command::Export(args) => args.run(self.quiet),
             Command::Prepare(args) => args.run(self.quiet),
             Command::Train(args) => args.run(self.quiet),
             Command::Evaluate(args) => args.run(self.quiet),
