@@ -70,6 +70,7 @@ pub mod formats;
 pub mod generate;
 pub mod geometry;
 pub mod imaging;
+pub mod inspect;
 pub mod kernels;
 pub mod metrics;
 pub mod nn;
@@ -79,6 +80,7 @@ pub mod progress;
 pub mod ranging;
 pub mod render;
 pub mod train;
+pub mod validate;
 pub mod weights;
 pub mod world;
 

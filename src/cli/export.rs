@@ -64,12 +64,9 @@ impl ExportArgs {
             for problem in &dataset.problems {
                 progress.note(&format!("left out {problem}"));
             }
-            let kinds = &dataset.info.label_kinds;
-            let kind = self.box_kind.unwrap_or(if kinds.contains(&BoxKind::Tight) {
-                BoxKind::Tight
-            } else {
-                BoxKind::Sphere
-            });
+            let kind = self
+                .box_kind
+                .unwrap_or_else(|| values::shown_kind(&dataset));
             match self.format {
                 Format::Yolo => yolo::export(&dataset, kind, self.distance, &self.out, progress),
                 Format::Coco => coco::export(&dataset, kind, &self.out, progress),

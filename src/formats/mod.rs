@@ -25,6 +25,9 @@ pub use flat::HeapOptions;
 pub use report::{ExportReport, ImportReport};
 pub use splits::SplitSettings;
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
