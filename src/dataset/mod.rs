@@ -7,7 +7,7 @@
 mod composite;
 mod composite_set;
 #[cfg(test)]
-mod fixture;
+pub(crate) mod fixture;
 mod format;
 mod frame;
 mod lines;
