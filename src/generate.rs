@@ -20,7 +20,7 @@ use crate::dataset::{BoxKind, FrameRow, Label, Split};
 use crate::error::{Error, Result};
 use crate::geometry::{SphereTarget, StereoRig, sphere_box};
 use crate::progress::Progress;
-use crate::render::{Eye, RenderSettings, RigPose, Silhouette, Stage, render};
+use crate::render::{Conditions, Eye, RenderSettings, RigPose, Silhouette, Stage, render};
 use crate::world::Scene;
 use plan::{SceneDraft, plan_scenes};
 use settle::Capture;
@@ -97,7 +97,12 @@ fn generate_scene(
         .iter()
         .map(|frame| frame.distance_m)
         .fold(0.0, f64::max);
-    let stage = Stage::new(Scene::draw(config.seed, scene.number, reach_m));
+    let stage = Stage::new(Scene::draw(
+        config.seed,
+        scene.number,
+        reach_m,
+        config.appearance.wardrobe(),
+    ));
     scene
         .frames
         .par_iter()
@@ -135,9 +140,10 @@ fn write_frame(
         samples_per_pixel: config.samples_per_pixel,
         noise_counts: config.noise_counts,
         noise_seed: capture.noise_seed,
+        conditions: Conditions::draw(&config.appearance, capture.sun, capture.noise_seed),
     };
     for eye in Eye::BOTH {
-        let image = render(stage, rig, &capture.pose, eye, capture.sun, &settings);
+        let image = render(stage, rig, &capture.pose, eye, &settings);
         let labels = labels(stage, rig, &capture.pose, eye, capture.distance_m);
         target.write_view(capture.row.stamp, eye, &image, &labels)?;
     }

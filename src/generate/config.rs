@@ -8,6 +8,7 @@ use crate::dataset::View;
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::StereoRig;
+use crate::render::Appearance;
 use crate::world::Sun;
 
 /// How frames are divided between training and validation.
@@ -56,6 +57,8 @@ pub struct GenerateConfig {
     pub val_fraction: f64,
     /// How frames are divided between training and validation.
     pub split: SplitMode,
+    /// Weather, camera, sensor, bodies and paints.
+    pub appearance: Appearance,
     /// A grid of test views in scenes of their own.
     pub test: Option<TestProtocol>,
 }
@@ -92,6 +95,7 @@ impl Default for GenerateConfig {
             min_visible: 0.35,
             val_fraction: 0.2,
             split: SplitMode::Scene,
+            appearance: Appearance::default(),
             test: None,
         }
     }
@@ -194,6 +198,7 @@ impl GenerateConfig {
         in_range("noise_counts", f64::from(self.noise_counts), 0.0, 50.0)?;
         in_range("min_visible", self.min_visible, 0.0, 0.9)?;
         in_range("val_fraction", self.val_fraction, 0.0, 0.9)?;
+        self.appearance.validate()?;
         let root = self.samples_per_pixel.isqrt();
         if root * root != self.samples_per_pixel {
             return Err(Error::value(

@@ -156,10 +156,10 @@ pub(crate) fn vehicle_rectangle(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::Scene;
+    use crate::world::{Scene, Wardrobe};
 
     fn above(width: u32) -> (Stage, StereoRig, RigPose) {
-        let stage = Stage::new(Scene::draw(11, 3, 60.0));
+        let stage = Stage::new(Scene::draw(11, 3, 60.0, Wardrobe::ALL));
         let rig = StereoRig::from_hfov(width, width * 9 / 16, 90.0, 0.8).unwrap();
         let [x, y, z] = stage.scene().vehicle.center_world;
         // From high above nothing can hide the vehicle.

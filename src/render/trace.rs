@@ -6,8 +6,11 @@ use obvhs::cwbvh::CwBvh;
 use obvhs::cwbvh::builder::build_cwbvh_from_tris;
 use obvhs::ray::{Ray, RayHit};
 
+use super::forest::Forest;
+use super::openness::Openness;
 use crate::world::Scene;
 use crate::world::mesh::Triangle;
+use crate::world::tree::Plant;
 
 /// Barycentric coordinates may leave the triangle by this much, so that rays cannot slip through
 /// between two triangles that share an edge.
@@ -21,6 +24,8 @@ pub(crate) enum Object {
     Ground,
     City,
     Vehicle,
+    /// A tree or bush, by its index in the forest.
+    Plant(u32),
 }
 
 /// Where a ray hits.
@@ -36,8 +41,10 @@ pub(crate) struct Hit {
 /// A scene made ready for tracing.
 pub struct Stage {
     pub(crate) scene: Scene,
+    pub(crate) openness: Openness,
     city: Tree,
     vehicle: Tree,
+    forest: Forest,
 }
 
 impl std::fmt::Debug for Stage {
@@ -51,15 +58,16 @@ impl std::fmt::Debug for Stage {
 }
 
 /// Triangles under a bounding volume hierarchy, in the order of its leaves.
-struct Tree {
+pub(super) struct Tree {
     bvh: CwBvh,
     /// A corner and the two edges from it.
     edges: Vec<[Vec3A; 3]>,
     triangles: Vec<Triangle>,
+    bounds: [Vec3A; 2],
 }
 
 impl Tree {
-    fn new(triangles: &[Triangle]) -> Self {
+    pub fn new(triangles: &[Triangle]) -> Self {
         let bare: Vec<obvhs::triangle::Triangle> = triangles
             .iter()
             .map(|t| obvhs::triangle::Triangle {
@@ -85,10 +93,15 @@ impl Tree {
                 [a, b - a, c - a]
             })
             .collect();
+        let corners = triangles.iter().flat_map(|t| t.vertices);
+        let bounds = corners.fold([Vec3A::INFINITY, Vec3A::NEG_INFINITY], |[low, high], v| {
+            [low.min(v), high.max(v)]
+        });
         Self {
             bvh,
             edges,
             triangles,
+            bounds,
         }
     }
 
@@ -112,16 +125,41 @@ impl Tree {
         }
     }
 
-    fn nearest(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<(f32, u32)> {
+    /// Distance and triangle that a ray hits first.
+    pub fn nearest(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<(f32, u32)> {
         let ray = Ray::new(origin, direction, NEAREST_M, limit);
+        if !self.is_near(&ray) {
+            return None;
+        }
         let mut hit = RayHit::none();
         self.bvh
             .ray_traverse(ray, &mut hit, |ray, index| self.intersect(ray, index))
             .then_some((hit.t, hit.primitive_id))
     }
 
-    fn is_free(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
+    /// A triangle by its place in the hierarchy.
+    pub fn triangle(&self, index: u32) -> &Triangle {
+        &self.triangles[index as usize]
+    }
+
+    /// Corners of the box around all triangles.
+    pub fn bounds(&self) -> [Vec3A; 2] {
+        self.bounds
+    }
+
+    /// Whether a ray may pass through the box: a quick test for small things in a large scene.
+    fn is_near(&self, ray: &Ray) -> bool {
+        let [a, b] = self.bounds.map(|corner| (corner - ray.origin) * ray.inv_direction);
+        let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
+        enter <= leave && leave >= 0.0 && enter <= ray.tmax
+    }
+
+    /// Whether a ray hits nothing within `limit`.
+    pub fn is_free(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
         let ray = Ray::new(origin, direction, NEAREST_M, limit);
+        if !self.is_near(&ray) {
+            return true;
+        }
         self.bvh
             .ray_traverse_miss(ray, |ray, index| self.intersect(ray, index))
     }
@@ -133,10 +171,14 @@ impl Stage {
         // The trees keep the triangles in an order of their own.
         let city = Tree::new(&std::mem::take(&mut scene.city.mesh.triangles));
         let vehicle = Tree::new(&std::mem::take(&mut scene.vehicle.triangles));
+        let forest = Forest::new(&scene.city.plants);
+        let [x, y, _] = scene.vehicle.center_world.map(|v| v as f32);
         Self {
+            openness: Openness::new(&scene.city, [x, y]),
             scene,
             city,
             vehicle,
+            forest,
         }
     }
 
@@ -180,7 +222,19 @@ impl Stage {
                 });
             }
         }
+        if let Some((t, plant, triangle)) = self.forest.nearest(origin, direction, limit) {
+            nearest = Some(Hit {
+                t,
+                object: Object::Plant(plant),
+                triangle,
+            });
+        }
         nearest
+    }
+
+    /// A plant by its index.
+    pub(crate) fn plant(&self, index: u32) -> &Plant {
+        self.forest.plant(index)
     }
 
     /// The vehicle alone: distance along the ray, if it hits.
@@ -193,20 +247,23 @@ impl Stage {
     /// Whether nothing of the city stands within `limit` metres along a ray.
     pub(crate) fn is_free_of_city(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
         self.city.is_free(origin, direction, limit)
+            && self.forest.is_free(origin, direction, limit)
     }
 
     /// Whether nothing at all stands in the way, however far.
     pub(crate) fn is_free(&self, origin: Vec3A, direction: Vec3A) -> bool {
         self.vehicle.is_free(origin, direction, f32::INFINITY)
             && self.city.is_free(origin, direction, f32::INFINITY)
+            && self.forest.is_free(origin, direction, f32::INFINITY)
     }
 
-    /// The triangle that was hit; None for the ground.
+    /// The triangle that was hit, a plant's in the axes of its template; None for the ground.
     pub(crate) fn triangle(&self, hit: &Hit) -> Option<&Triangle> {
         match hit.object {
             Object::Ground => None,
             Object::City => Some(&self.city.triangles[hit.triangle as usize]),
             Object::Vehicle => Some(&self.vehicle.triangles[hit.triangle as usize]),
+            Object::Plant(plant) => Some(self.forest.triangle(plant, hit.triangle)),
         }
     }
 
@@ -222,7 +279,7 @@ mod tests {
 
     #[test]
     fn the_nearest_hit_agrees_with_testing_every_triangle() {
-        let stage = Stage::new(Scene::draw(4, 0, 40.0));
+        let stage = Stage::new(Scene::draw(4, 0, 40.0, crate::world::Wardrobe::ALL));
         let origin = Vec3A::new(12.0, -9.0, 11.0);
         for i in 0..200_u16 {
             let [a, b] = [f32::from(i) * 0.031 - 3.1, f32::from(i * 7 % 200) * 0.006];

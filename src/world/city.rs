@@ -3,14 +3,17 @@
 use glam::Vec3A;
 use rand::{Rng, RngExt as _};
 
-use super::facade::Building;
+use super::facade::{Building, Style};
 use super::layout::{Block, Layout, PAVEMENT_M, Use};
 use super::mesh::{Mesh, Surface, turn};
+use super::tree::Plant;
 
 /// Nothing but the ground stands within this distance of the vehicle, metres.
 const CLEAR_M: f32 = 6.5;
 /// Trees and lamp posts further from the vehicle than this are left out, metres.
 const DETAIL_REACH_M: f32 = 230.0;
+/// Balconies and awnings further from the vehicle than this are left out, metres.
+const RELIEF_REACH_M: f32 = 120.0;
 
 /// A city around a vehicle.
 #[derive(Debug)]
@@ -19,8 +22,21 @@ pub(crate) struct City {
     pub layout: Layout,
     /// Buildings, as [`Surface::Wall`] and [`Surface::Roof`] number them.
     pub buildings: Vec<Building>,
-    /// Everything that stands on the ground.
+    /// Everything that stands on the ground but trees.
     pub mesh: Mesh,
+    /// Trees and bushes.
+    pub plants: Vec<Plant>,
+}
+
+/// The space that a building takes, roughly.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Solid {
+    /// Corner with the lowest coordinates.
+    pub low: [f32; 2],
+    /// Corner with the highest coordinates.
+    pub high: [f32; 2],
+    /// Height of its top, metres.
+    pub top: f32,
 }
 
 /// An axis-aligned rectangle on the ground.
@@ -30,6 +46,7 @@ struct Builder<'a, R> {
     rng: &'a mut R,
     buildings: Vec<Building>,
     mesh: Mesh,
+    plants: Vec<Plant>,
     vehicle: [f32; 2],
     /// Tangent of the highest angle above the horizon at which the vehicle may see a building, for
     /// each quarter around it.
@@ -64,6 +81,7 @@ impl City {
             rng,
             buildings: Vec::new(),
             mesh: Mesh::default(),
+            plants: Vec::new(),
             vehicle,
             skyline,
         };
@@ -71,14 +89,28 @@ impl City {
             builder.fill(block);
         }
         builder.furnish_streets(&layout, reach_m);
+        builder.traffic_lights(&layout);
         let Builder {
-            buildings, mesh, ..
+            buildings,
+            mesh,
+            plants,
+            ..
         } = builder;
         Self {
             layout,
             buildings,
             mesh,
+            plants,
         }
+    }
+
+    /// What hides the sky.
+    pub fn solids(&self) -> impl Iterator<Item = Solid> {
+        self.buildings.iter().map(|b| Solid {
+            low: b.low,
+            high: b.high,
+            top: b.height + 0.5 * b.ridge,
+        })
     }
 
     /// Whether a point lies in a building or less than `margin_m` from one.
@@ -156,7 +188,7 @@ impl<R: Rng> Builder<'_, R> {
 
     fn flats(&mut self, lot: Rect) {
         if self.rng.random_bool(0.07) {
-            self.scatter_trees(lot, 120.0);
+            self.scatter_trees(lot, 90.0);
             return;
         }
         let narrow = (lot[1][0] - lot[0][0]).min(lot[1][1] - lot[0][1]) < 12.0;
@@ -166,29 +198,62 @@ impl<R: Rng> Builder<'_, R> {
             self.rng.random_range(0.5..2.5_f32)
         };
         let rect: Rect = [lot[0].map(|v| v + inset), lot[1].map(|v| v - inset)];
-        let tower = self.rng.random_bool(0.14);
+        let tower = self.rng.random_bool(0.16);
         let wish = if tower {
-            self.rng.random_range(30.0..58.0_f32)
+            self.rng.random_range(30.0..64.0_f32)
         } else {
-            self.rng.random_range(9.0..25.0_f32)
+            self.rng.random_range(9.0..26.0_f32)
         };
         let height = wish.min(self.height_limit(rect));
         if height < 3.2 {
-            self.scatter_trees(lot, 150.0);
+            self.scatter_trees(lot, 110.0);
             return;
         }
-        self.raise(rect, height, 0.0);
-        // Plant rooms and ventilation on the roof.
-        for _ in 0..self.rng.random_range(1..4_u32) {
-            let [x, y] = [0, 1].map(|i| self.rng.random_range(rect[0][i] + 1.0..rect[1][i] - 3.5));
-            let [dx, dy, dz] = [(); 3].map(|()| self.rng.random_range(0.9..2.4_f32));
+        let style = Style::draw(height, 0.0, &mut *self.rng);
+        let side = (rect[1][0] - rect[0][0]).min(rect[1][1] - rect[0][1]);
+        // Tall buildings often step back above the cornice of their neighbours.
+        let step = self.rng.random_range(1.8..4.2_f32);
+        if height > 22.0 && side > 14.0 && self.rng.random_bool(0.6) {
+            let waist = height * self.rng.random_range(0.35..0.75_f32);
+            self.raise(rect, 0.0, waist, 0.0, style);
+            let upper = [rect[0].map(|v| v + step), rect[1].map(|v| v - step)];
+            self.raise(upper, waist, height, 0.0, style);
+            self.roof_units(upper, height);
+        } else {
+            self.raise(rect, 0.0, height, 0.0, style);
+            self.roof_units(rect, height);
+        }
+    }
+
+    /// Plant rooms, ventilation and masts.
+    fn roof_units(&mut self, rect: Rect, height: f32) {
+        for _ in 0..self.rng.random_range(1..6_u32) {
+            let [x, y] = [0, 1].map(|i| {
+                let (low, high) = (rect[0][i] + 1.2, rect[1][i] - 3.5);
+                self.rng.random_range(low..high.max(low + 0.1))
+            });
             let low = Vec3A::new(x, y, height);
-            self.mesh.block(
-                low,
-                low + Vec3A::new(dx, dy, dz * 0.8),
-                Surface::Metal,
-                Surface::Metal,
-            );
+            match self.rng.random_range(0..5_u32) {
+                0 => {
+                    let size = Vec3A::new(3.2, 2.6, 2.4) * self.rng.random_range(0.7..1.0_f32);
+                    self.mesh.block(low, low + size, Surface::Painted(1), Surface::Painted(1));
+                }
+                1 => {
+                    let top = low + Vec3A::Z * self.rng.random_range(1.5..4.5_f32);
+                    self.mesh.tube([low, top], [0.05, 0.03], 5, Surface::Metal);
+                }
+                2 => {
+                    let top = low + Vec3A::Z * 1.1;
+                    self.mesh.tube([low, top], [0.35, 0.35], 8, Surface::Metal);
+                    let cap = Vec3A::new(0.45, 0.45, 0.12);
+                    self.mesh.slab(top - cap, top + cap, Surface::Metal);
+                }
+                _ => {
+                    let [dx, dy, dz] = [(); 3].map(|()| self.rng.random_range(0.8..1.9_f32));
+                    let high = low + Vec3A::new(dx, dy, dz * 0.7);
+                    self.mesh.block(low, high, Surface::Metal, Surface::Painted(2));
+                }
+            }
         }
     }
 
@@ -201,50 +266,154 @@ impl<R: Rng> Builder<'_, R> {
         ];
         let wish: f32 = if self.rng.random_bool(0.5) { 3.1 } else { 5.8 };
         let limit = self.height_limit(rect);
-        let ridge = self.rng.random_range(1.8..3.4_f32);
+        let ridge = self.rng.random_range(1.8..3.4_f32).min(limit * 0.5);
         if limit > 4.5 {
-            self.raise(rect, wish.min(limit - 1.5).max(2.9), ridge.min(limit * 0.5));
+            let height = wish.min(limit - 1.5).max(2.9);
+            let style = Style::draw(height, ridge, &mut *self.rng);
+            self.raise(rect, 0.0, height, ridge, style);
+            let stack = Vec3A::new(center[0] + 1.3, center[1] + 0.4, height);
+            let top = stack + Vec3A::new(0.6, 0.6, ridge + 0.5);
+            self.mesh.block(stack, top, Surface::Painted(7), Surface::Painted(2));
         }
         for corner in [
             [lot[0][0] + 1.6, lot[0][1] + 1.6],
             [lot[1][0] - 1.6, lot[1][1] - 1.6],
         ] {
             if self.rng.random_bool(0.6) {
-                self.tree(corner);
+                let kind = self.rng.random_range(0..6_u8);
+                self.tree(corner, kind);
             }
         }
         // A hedge along one side of the garden.
-        let [low, high] = [
-            [lot[0][0] + 0.3, lot[0][1] + 2.5],
-            [lot[0][0] + 1.1, lot[1][1] - 2.5],
-        ];
-        if high[1] > low[1] + 2.0 && distance([low, high], self.vehicle) > CLEAR_M {
-            let tint = Surface::Foliage(self.rng.random_range(0..64_u16));
-            let top = self.rng.random_range(0.9..1.7_f32);
-            self.mesh.block(
-                Vec3A::new(low[0], low[1], 0.0),
-                Vec3A::new(high[0], high[1], top),
-                tint,
-                tint,
-            );
+        let tall = self.rng.random_range(1.1..1.9_f32);
+        let mut along = lot[0][1] + 2.5;
+        while along < lot[1][1] - 2.5 {
+            let at = [lot[0][0] + 0.7, along];
+            if distance([at, at], self.vehicle) > CLEAR_M {
+                let height = tall * self.rng.random_range(0.85..1.15_f32);
+                self.plant(6, at, height);
+            }
+            along += tall * 0.75;
         }
     }
 
-    fn raise(&mut self, [low, high]: Rect, height: f32, ridge: f32) {
+    fn raise(&mut self, [low, high]: Rect, base: f32, height: f32, ridge: f32, style: Style) {
         // Surfaces count buildings in 16 bits; cities of this size have some hundreds.
         let Ok(index) = u16::try_from(self.buildings.len()) else {
             return;
         };
-        self.buildings
-            .push(Building::draw(low, high, height, ridge, &mut *self.rng));
+        let building = Building {
+            low,
+            high,
+            base,
+            height,
+            ridge,
+            style,
+        };
+        self.buildings.push(building);
         let (walls, roof) = (Surface::Wall(index), Surface::Roof(index));
         let [bottom, top] = [
-            Vec3A::new(low[0], low[1], 0.0),
+            Vec3A::new(low[0], low[1], base),
             Vec3A::new(high[0], high[1], height),
         ];
         self.mesh.block(bottom, top, walls, roof);
         if ridge > 0.0 {
             self.gable([low, high], height, ridge, walls, roof);
+        } else {
+            self.parapet([low, high], height, Surface::Stone(index));
+            if distance([low, high], self.vehicle) < RELIEF_REACH_M {
+                self.relief(&building, Surface::Stone(index));
+            }
+        }
+    }
+
+    /// The parapet around a flat roof, which stands out over the wall as a cornice.
+    fn parapet(&mut self, [low, high]: Rect, height: f32, stone: Surface) {
+        let out = self.rng.random_range(0.04..0.40_f32);
+        let (down, up) = (
+            self.rng.random_range(0.15..0.5_f32),
+            self.rng.random_range(0.3..0.9_f32),
+        );
+        let (z0, z1) = (height - down, height + up);
+        let outer = [low.map(|v| v - out), high.map(|v| v + out)];
+        let inner = [low.map(|v| v + 0.28), high.map(|v| v - 0.28)];
+        for [a, b] in [
+            [outer[0], [outer[1][0], inner[0][1]]],
+            [[outer[0][0], inner[1][1]], outer[1]],
+            [[outer[0][0], inner[0][1]], [inner[0][0], inner[1][1]]],
+            [[inner[1][0], inner[0][1]], [outer[1][0], inner[1][1]]],
+        ] {
+            self.mesh.slab(
+                Vec3A::new(a[0], a[1], z0),
+                Vec3A::new(b[0], b[1], z1),
+                stone,
+            );
+        }
+    }
+
+    /// Balconies and awnings on the four walls of a building near the vehicle.
+    fn relief(&mut self, building: &Building, stone: Surface) {
+        for side in 0..4_u32 {
+            let faces_x = side >= 2;
+            let [i, j] = if faces_x { [1, 0] } else { [0, 1] };
+            let outward = if side % 2 == 1 { 1.0 } else { -1.0 };
+            let wall = if side % 2 == 1 {
+                building.high[j]
+            } else {
+                building.low[j]
+            };
+            let start = building.low[i];
+            let length = building.high[i] - start;
+            let place = |u: f32, out: f32, z: f32| {
+                let mut at = [0.0; 2];
+                at[i] = start + u;
+                at[j] = wall + outward * out;
+                Vec3A::new(at[0], at[1], z)
+            };
+            let bays = building.bays(length);
+            for bay in 0..bays.count {
+                for floor in 0..building.floors() {
+                    if !building.has_balcony(bay, floor, side) {
+                        continue;
+                    }
+                    let middle = (bay as f32 + 0.5) * bays.bay_m;
+                    let half = bays.bay_m * 0.42;
+                    let z = building.first_floor() + floor as f32 * building.style.floor_m + 0.12;
+                    let mut slab = |from: Vec3A, to: Vec3A, surface: Surface| {
+                        self.mesh.slab(from.min(to), from.max(to), surface);
+                    };
+                    slab(place(middle - half, 0.0, z), place(middle + half, 1.05, z + 0.14), stone);
+                    let rail = if building.style.seed.is_multiple_of(2) {
+                        Surface::Painted(2)
+                    } else {
+                        stone
+                    };
+                    slab(place(middle - half, 1.0, z), place(middle + half, 1.05, z + 1.05), rail);
+                    for end in [middle - half, middle + half - 0.04] {
+                        slab(place(end, 0.0, z), place(end + 0.04, 1.0, z + 1.05), rail);
+                    }
+                }
+            }
+            if building.base > 0.0 || !building.style.shops {
+                continue;
+            }
+            for shop in building.shops(length, side) {
+                if shop.seed % 5 > 2 {
+                    continue;
+                }
+                let surface = Surface::Awning((shop.seed & 0xffff) as u16);
+                let z = building.style.ground_m - 0.98;
+                let [from, to] = [shop.start + 0.2, (shop.start + shop.width).min(length) - 0.2];
+                let cloth = [
+                    place(from, 0.02, z),
+                    place(to, 0.02, z),
+                    place(to, 1.25, z - 0.5),
+                    place(from, 1.25, z - 0.5),
+                ];
+                self.mesh.polygon(&cloth, surface);
+                let drop = Vec3A::Z * -0.22;
+                self.mesh.polygon(&[cloth[3], cloth[2], cloth[2] + drop, cloth[3] + drop], surface);
+            }
         }
     }
 
@@ -292,47 +461,37 @@ impl<R: Rng> Builder<'_, R> {
         }
         for _ in 0..(size[0] * size[1] / area_m2) as u32 {
             let at = [0, 1].map(|i| low[i] + 1.5 + self.rng.random_range(0.0..size[i]));
-            self.tree(at);
+            let kind = self.rng.random_range(0..6_u8);
+            self.tree(at, kind);
+            // Bushes under some of them.
+            if self.rng.random_bool(0.5) {
+                let spread = [(); 2].map(|()| self.rng.random_range(-3.0..3.0_f32));
+                let beside = [at[0] + spread[0], at[1] + spread[1]];
+                if distance([beside, beside], self.vehicle) > CLEAR_M + 2.0 {
+                    let height = self.rng.random_range(0.7..1.6_f32);
+                    self.plant(6, beside, height);
+                }
+            }
         }
     }
 
-    fn tree(&mut self, [x, y]: [f32; 2]) {
+    fn tree(&mut self, [x, y]: [f32; 2], kind: u8) {
         let apart = distance([[x, y], [x, y]], self.vehicle);
-        let height = self.rng.random_range(4.0..8.5_f32);
-        let seed: u32 = self.rng.random();
-        let crown = height * self.rng.random_range(0.24..0.34_f32);
+        let height = self.rng.random_range(4.5..9.5_f32);
+        let crown = height * 0.34;
         // Crowns keep below the skyline as well, or a park would hide the vehicle.
         let limit = apart * self.skyline[quarter_of([x, y], self.vehicle)] * 1.6;
-        if apart < CLEAR_M + crown || apart > DETAIL_REACH_M || height > limit.max(4.6) {
+        if apart < CLEAR_M + crown || apart > DETAIL_REACH_M || height > limit.max(5.0) {
             return;
         }
-        let surface = Surface::Foliage((seed & 63) as u16);
-        let trunk = [Vec3A::new(x, y, 0.0), Vec3A::new(x, y, height - crown)];
-        self.mesh.tube(trunk, [0.17, 0.11], 6, Surface::Bark);
-        let top = Vec3A::new(x, y, height - crown);
-        self.mesh.blob(
-            top,
-            Vec3A::new(crown, crown, crown * 1.05),
-            0.5,
-            seed,
-            surface,
-        );
-        if apart < 90.0 {
-            for lump in 0..2_u16 {
-                let [sin, cos] =
-                    turn((f32::from((seed >> 8) as u8) + 110.0 * f32::from(lump)) / 256.0);
-                let center =
-                    top + Vec3A::new(cos * 0.55, sin * 0.55, -0.35 + 0.5 * f32::from(lump)) * crown;
-                let size = crown * (0.62 + 0.1 * f32::from(lump));
-                self.mesh.blob(
-                    center,
-                    Vec3A::splat(size),
-                    0.5,
-                    seed ^ u32::from(lump + 1),
-                    surface,
-                );
-            }
-        }
+        self.plant(kind, [x, y], height);
+    }
+
+    fn plant(&mut self, kind: u8, at: [f32; 2], height: f32) {
+        let apart = distance([at, at], self.vehicle);
+        let foot = Vec3A::new(at[0], at[1], 0.0);
+        let plant = Plant::new(kind, foot, height, apart, &mut *self.rng);
+        self.plants.push(plant);
     }
 
     /// Lamp posts and trees along the pavements.
@@ -342,7 +501,8 @@ impl<R: Rng> Builder<'_, R> {
         let steps = (reach / SPACING_M) as i32;
         for axis in 0..2 {
             for road in &layout.roads[axis] {
-                let leafy = self.rng.random_bool(0.45);
+                let leafy = self.rng.random_bool(0.6);
+                let kind = self.rng.random_range(0..6_u8);
                 for side in [-1.0, 1.0] {
                     for step in -steps..=steps {
                         let along = SPACING_M * step as f32 + self.rng.random_range(-1.5..1.5_f32);
@@ -364,7 +524,7 @@ impl<R: Rng> Builder<'_, R> {
                         if step % 2 == 0 {
                             self.lamp_post(at, inward);
                         } else if leafy {
-                            self.tree(at);
+                            self.tree(at, kind);
                         }
                         if apart < 120.0 {
                             self.street_things(at, inward);
@@ -375,61 +535,120 @@ impl<R: Rng> Builder<'_, R> {
         }
     }
 
-    /// Bins, bollards, cabinets, benches and signs beside a place at the kerb.
+    /// Bins, bollards, cabinets, benches, hydrants and signs beside a place at the kerb.
     fn street_things(&mut self, [x, y]: [f32; 2], inward: Vec3A) {
         let along = Vec3A::new(inward.y, inward.x, 0.0).abs();
+        let across = inward.abs();
         let shift = self.rng.random_range(2.0..5.0_f32);
         let foot = Vec3A::new(x, y, 0.0) + along * shift;
-        let metal = Surface::Metal;
-        match self.rng.random_range(0..8_u32) {
+        let back = foot - inward * 1.5;
+        let paint = Surface::Painted(self.rng.random_range(0..6_u16));
+        let mesh = &mut self.mesh;
+        match self.rng.random_range(0..10_u32) {
             0 => {
                 for place in 0..5_u8 {
                     let low = foot + along * (f32::from(place) * 1.4);
-                    self.mesh
-                        .tube([low, low + Vec3A::Z * 0.95], [0.08, 0.08], 6, metal);
+                    mesh.tube([low, low + Vec3A::Z * 0.9], [0.07, 0.07], 8, Surface::Metal);
+                    mesh.blob(low + Vec3A::Z * 0.9, Vec3A::splat(0.07), 0.0, 0, Surface::Metal);
                 }
             }
             1 => {
-                let size = along * 0.9
-                    + inward.abs() * 0.4
-                    + Vec3A::Z * self.rng.random_range(1.0..1.5_f32);
-                let low = foot - inward * 1.2;
-                self.mesh.block(low, low + size, Surface::Bark, metal);
+                let tall = self.rng.random_range(1.0..1.5_f32);
+                mesh.block(back, back + along * 0.9 + across * 0.4 + Vec3A::Z * tall, paint, paint);
             }
-            2 => {
-                let seat = foot - inward * 1.6 + Vec3A::Z * 0.35;
-                self.mesh.block(
-                    seat,
-                    seat + along * 1.7 + inward.abs() * 0.5 + Vec3A::Z * 0.1,
-                    metal,
-                    Surface::Bark,
-                );
-                let back = seat + Vec3A::Z * 0.1;
-                self.mesh.block(
-                    back,
-                    back + along * 1.7 + Vec3A::new(0.06, 0.06, 0.4),
-                    Surface::Bark,
-                    Surface::Bark,
-                );
+            2 | 3 => {
+                // A bench: slats on two feet.
+                for end in [0.1, 1.5] {
+                    let low = back + along * end;
+                    mesh.block(
+                        low,
+                        low + along * 0.08 + across * 0.45 + Vec3A::Z * 0.42,
+                        Surface::Painted(2),
+                        Surface::Painted(2),
+                    );
+                }
+                for slat in 0..4_u8 {
+                    let low = back + across * (f32::from(slat) * 0.12) + Vec3A::Z * 0.42;
+                    mesh.slab(low, low + along * 1.7 + across * 0.09 + Vec3A::Z * 0.04, Surface::Painted(6));
+                }
+                for slat in 0..3_u8 {
+                    let low = back + Vec3A::Z * (0.55 + 0.13 * f32::from(slat));
+                    mesh.slab(low, low + along * 1.7 + across * 0.04 + Vec3A::Z * 0.09, Surface::Painted(6));
+                }
             }
-            3 | 4 => {
-                self.mesh
-                    .tube([foot, foot + Vec3A::Z * 2.7], [0.04, 0.04], 5, metal);
-                let plate = foot + Vec3A::Z * 2.05 - inward.abs() * 0.3 - along * 0.02;
-                self.mesh.block(
-                    plate,
-                    plate + inward.abs() * 0.6 + along * 0.04 + Vec3A::Z * 0.6,
-                    Surface::Sign,
-                    metal,
-                );
+            4 | 5 => {
+                mesh.tube([foot, foot + Vec3A::Z * 2.7], [0.035, 0.035], 8, Surface::Metal);
+                let plate = foot + Vec3A::Z * 2.05 - across * 0.3 - along * 0.06;
+                mesh.slab(plate, plate + across * 0.6 + along * 0.02 + Vec3A::Z * 0.6, Surface::Sign);
             }
-            5 => {
+            6 | 7 => {
                 let low = foot - inward * 0.4;
-                self.mesh
-                    .tube([low, low + Vec3A::Z * 0.9], [0.24, 0.28], 8, Surface::Bark);
+                mesh.tube([low, low + Vec3A::Z * 0.85], [0.22, 0.25], 10, paint);
+                mesh.tube([low + Vec3A::Z * 0.85, low + Vec3A::Z * 0.97], [0.27, 0.12], 10, Surface::Painted(2));
+            }
+            8 => {
+                // A hydrant.
+                let red = Surface::Painted(4);
+                mesh.tube([foot, foot + Vec3A::Z * 0.55], [0.12, 0.11], 9, red);
+                mesh.blob(foot + Vec3A::Z * 0.58, Vec3A::splat(0.13), 0.0, 0, red);
+                let arm = along * 0.22;
+                mesh.tube([foot + Vec3A::Z * 0.4 - arm, foot + Vec3A::Z * 0.4 + arm], [0.06, 0.06], 7, red);
             }
             _ => {}
         }
+    }
+
+    /// Traffic lights at the corners of the crossings near the vehicle.
+    fn traffic_lights(&mut self, layout: &Layout) {
+        for column in &layout.roads[0] {
+            for row in &layout.roads[1] {
+                let middle = [column.center, row.center];
+                if distance([middle, middle], self.vehicle) > 110.0 {
+                    continue;
+                }
+                let green = self.rng.random_range(0..2_u16);
+                for (corner, [sx, sy]) in [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0_f32]]
+                    .into_iter()
+                    .enumerate()
+                {
+                    let at = [
+                        column.center + sx * (column.half_width + 0.9),
+                        row.center + sy * (row.half_width + 0.9),
+                    ];
+                    if distance([at, at], self.vehicle) < 4.0 {
+                        continue;
+                    }
+                    let foot = Vec3A::new(at[0], at[1], 0.0);
+                    let top = foot + Vec3A::Z * 3.5;
+                    let dark = Surface::Painted(2);
+                    self.mesh.tube([foot, top], [0.07, 0.06], 8, dark);
+                    let lit = (green + corner as u16) % 2 * 2;
+                    let half = Vec3A::new(0.14, 0.14, 0.45);
+                    let head = foot + Vec3A::new(-0.22 * sx, -0.22 * sy, 3.0);
+                    self.mesh.slab(head - half, head + half, dark);
+                    for lamp in 0..3_u16 {
+                        let center = head + Vec3A::Z * (0.29 - 0.29 * f32::from(lamp));
+                        let surface = Surface::Signal(lamp + if lamp == lit { 3 } else { 0 });
+                        for side in [Vec3A::X, -Vec3A::X, Vec3A::Y, -Vec3A::Y] {
+                            self.lamp(center + side * 0.145, side, 0.1, surface);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// A round lamp on an upright face.
+    fn lamp(&mut self, center: Vec3A, outward: Vec3A, radius: f32, surface: Surface) {
+        const CORNERS: u16 = 8;
+        let across = outward.cross(Vec3A::Z);
+        let rim: Vec<Vec3A> = (0..CORNERS)
+            .map(|i| {
+                let [sin, cos] = turn(f32::from(i) / f32::from(CORNERS));
+                center + (across * cos + Vec3A::Z * sin) * radius
+            })
+            .collect();
+        self.mesh.polygon(&rim, surface);
     }
 
     fn lamp_post(&mut self, [x, y]: [f32; 2], inward: Vec3A) {

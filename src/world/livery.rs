@@ -17,33 +17,46 @@ pub(crate) struct Finish {
     pub albedo: Vec3A,
     /// Share of light mirrored when seen straight on; it rises towards grazing angles.
     pub mirror: f32,
+    /// Reflectance of metal flakes under the clear coat.
+    pub flakes: Vec3A,
+    /// Shares of the sky's and the sun's light that reach it.
+    pub open: f32,
+    pub sun: f32,
+    /// Light of its own.
+    pub glow: Vec3A,
 }
 
-const fn matt(level: f32) -> Finish {
+const fn shiny(albedo: Vec3A, mirror: f32) -> Finish {
     Finish {
-        albedo: Vec3A::splat(level),
-        mirror: 0.0,
+        albedo,
+        mirror,
+        flakes: Vec3A::ZERO,
+        open: 1.0,
+        sun: 1.0,
+        glow: Vec3A::ZERO,
     }
 }
 
-const GLASS: Finish = Finish {
-    albedo: Vec3A::new(0.012, 0.014, 0.016),
-    mirror: 0.07,
+const fn matt(level: f32) -> Finish {
+    shiny(Vec3A::splat(level), 0.0)
+}
+
+const GLASS: Finish = shiny(Vec3A::new(0.010, 0.012, 0.013), 0.06);
+const RUBBER: Finish = matt(0.016);
+const PLASTIC: Finish = shiny(Vec3A::splat(0.024), 0.02);
+const LAMP: Finish = shiny(Vec3A::new(0.36, 0.38, 0.40), 0.16);
+const TAIL_LAMP: Finish = shiny(Vec3A::new(0.30, 0.006, 0.008), 0.06);
+const PLATE: Finish = matt(0.62);
+const CHROME: Finish = Finish {
+    flakes: Vec3A::splat(0.25),
+    ..shiny(Vec3A::splat(0.10), 0.55)
 };
-const RUBBER: Finish = matt(0.014);
-const PLASTIC: Finish = Finish {
-    albedo: Vec3A::splat(0.028),
-    mirror: 0.02,
+/// In a wheel arch, a grille or a gap little light finds its way.
+const HOLLOW: Finish = Finish {
+    open: 0.25,
+    sun: 0.15,
+    ..matt(0.012)
 };
-const LAMP: Finish = Finish {
-    albedo: Vec3A::new(0.48, 0.50, 0.52),
-    mirror: 0.14,
-};
-const TAIL_LAMP: Finish = Finish {
-    albedo: Vec3A::new(0.40, 0.008, 0.010),
-    mirror: 0.07,
-};
-const PLATE: Finish = matt(0.70);
 
 /// The finish of a point, both arguments in vehicle axes.
 pub(crate) fn finish(
@@ -54,8 +67,8 @@ pub(crate) fn finish(
     footprint_m: f32,
 ) -> Finish {
     let coat = Finish {
-        albedo: vehicle.paint,
-        mirror: 0.05,
+        flakes: vehicle.flakes,
+        ..shiny(vehicle.paint, 0.045)
     };
     match part {
         VehiclePart::Body => body(vehicle, coat, at, normal, footprint_m),
@@ -118,7 +131,9 @@ fn body(vehicle: &Vehicle, coat: Finish, at: Vec3A, normal: Vec3A, footprint_m: 
     let seam = seams(shape, at, normal, across, footprint_m);
     Finish {
         albedo: coat.albedo * (1.0 - 0.9 * seam),
+        flakes: coat.flakes * (1.0 - 0.9 * seam),
         mirror: coat.mirror * (1.0 - seam),
+        ..coat
     }
 }
 
@@ -136,10 +151,7 @@ fn front(vehicle: &Vehicle, at: Vec3A, across: f32, to_front: f32) -> Option<Fin
     if within(at.z, shape.nose - 0.36, shape.nose - 0.17) && across < 0.46 {
         let badge = at.y * at.y + (at.z - shape.nose + 0.26) * (at.z - shape.nose + 0.26) < 0.0036;
         return Some(if badge {
-            Finish {
-                albedo: Vec3A::splat(0.5),
-                mirror: 0.4,
-            }
+            CHROME
         } else {
             PLASTIC
         });
@@ -280,8 +292,8 @@ fn wheel(shape: &Shape, seed: u32, at: Vec3A) -> Finish {
     if on_spoke || !(0.22..=0.57).contains(&reach) {
         let level = 0.35 + 0.25 * noise::unit(seed);
         Finish {
-            albedo: Vec3A::splat(level),
-            mirror: 0.25,
+            flakes: Vec3A::splat(0.5 * level),
+            ..shiny(Vec3A::splat(0.4 * level), 0.20)
         }
     } else {
         matt(0.02)

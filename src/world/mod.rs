@@ -15,9 +15,12 @@ pub(crate) mod livery;
 pub(crate) mod mesh;
 pub(crate) mod noise;
 mod scene;
-pub(crate) mod sun;
+pub(crate) mod sky;
+mod sun;
+pub(crate) mod tree;
 mod vehicle;
 
 pub use scene::Scene;
-pub use sun::Sun;
-pub use vehicle::{BodyStyle, Vehicle};
+pub use sky::Air;
+pub use sun::{Sun, SunPlace};
+pub use vehicle::{BodyStyle, Paint, Vehicle, Wardrobe};

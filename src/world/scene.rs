@@ -6,7 +6,7 @@ use rand_pcg::Pcg64;
 use super::city::City;
 use super::layout::Layout;
 use super::noise::derive_seed;
-use super::vehicle::Vehicle;
+use super::vehicle::{Vehicle, Wardrobe};
 
 /// Keeps the random numbers of scenes apart from those of other uses of the same seed.
 const SCENE_STREAM: u64 = 1;
@@ -28,7 +28,7 @@ impl Scene {
     ///
     /// `reach_m` is how far from the vehicle a camera may be. Scenes of one seed have different
     /// cities, and neighbouring ones different vehicle styles and paints.
-    pub fn draw(seed: u64, number: u32, reach_m: f64) -> Self {
+    pub fn draw(seed: u64, number: u32, reach_m: f64, wardrobe: Wardrobe) -> Self {
         let mut rng = Pcg64::seed_from_u64(derive_seed(seed, SCENE_STREAM, u64::from(number)));
         // The view goes on behind the vehicle: without blocks there it would end in a plain.
         let reach_m = reach_m as f32 + 150.0;
@@ -41,7 +41,7 @@ impl Scene {
         let at = [f64::from(if forth { offset } else { -offset }), along];
         let quarter_turn = std::f64::consts::FRAC_PI_2 * if forth { 1.0 } else { -1.0 };
         let heading = quarter_turn + rng.random_range(-5.0..5.0_f64).to_radians();
-        let vehicle = Vehicle::draw(number, at, heading, &mut rng);
+        let vehicle = Vehicle::draw(number, wardrobe, at, heading, &mut rng);
         let city = City::draw(reach_m, at.map(|v| v as f32), layout, &mut rng);
         Self {
             vehicle,
@@ -63,7 +63,7 @@ mod tests {
     #[test]
     fn the_same_seed_and_number_give_the_same_scene_and_others_do_not() {
         let [a, b, c] =
-            [(3, 0), (3, 0), (3, 1)].map(|(seed, number)| Scene::draw(seed, number, 60.0));
+            [(3, 0), (3, 0), (3, 1)].map(|(seed, number)| Scene::draw(seed, number, 60.0, Wardrobe::ALL));
         let corners = |s: &Scene| -> Vec<[f32; 3]> {
             s.city
                 .mesh
@@ -80,7 +80,7 @@ mod tests {
     #[test]
     fn no_building_stands_on_the_vehicle() {
         for number in 0..6 {
-            let scene = Scene::draw(9, number, 60.0);
+            let scene = Scene::draw(9, number, 60.0, Wardrobe::ALL);
             assert!(!scene.in_building(scene.vehicle.center_world, 3.0));
         }
     }

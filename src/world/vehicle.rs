@@ -5,12 +5,14 @@
 
 use glam::Vec3A;
 use rand::{Rng, RngExt as _};
+use serde::{Deserialize, Serialize};
 
 use super::body;
 use super::mesh::{Mesh, Triangle};
 
 /// Body styles.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum BodyStyle {
     /// Four doors and a boot.
     Sedan,
@@ -29,7 +31,8 @@ pub enum BodyStyle {
 }
 
 impl BodyStyle {
-    const ALL: [Self; 7] = [
+    /// All of them.
+    pub const ALL: [Self; 7] = [
         Self::Sedan,
         Self::Hatchback,
         Self::Estate,
@@ -106,7 +109,9 @@ impl Shape {
 #[derive(Debug, Clone)]
 pub struct Vehicle {
     pub(crate) shape: Shape,
+    /// Diffuse colour of its paint, and colour of the metal flakes in it.
     pub(crate) paint: Vec3A,
+    pub(crate) flakes: Vec3A,
     /// Plates, lamps and trim vary with it.
     pub(crate) seed: u32,
     /// Centre of the bounding box, metres, world.
@@ -118,32 +123,128 @@ pub struct Vehicle {
     pub(crate) triangles: Vec<Triangle>,
 }
 
-/// Linear colours of paints, darkest to lightest and then the bright ones.
-const PAINTS: [[f32; 3]; 14] = [
-    [0.012, 0.012, 0.014],
-    [0.045, 0.048, 0.052],
-    [0.17, 0.175, 0.18],
-    [0.42, 0.43, 0.44],
-    [0.74, 0.74, 0.72],
-    [0.78, 0.78, 0.78],
-    [0.36, 0.012, 0.015],
-    [0.52, 0.03, 0.02],
-    [0.012, 0.04, 0.20],
-    [0.03, 0.14, 0.42],
-    [0.015, 0.09, 0.045],
-    [0.62, 0.40, 0.03],
-    [0.58, 0.16, 0.02],
-    [0.30, 0.24, 0.16],
-];
+/// Paints by name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Paint {
+    /// Solid black.
+    Black,
+    /// Metallic dark grey.
+    Anthracite,
+    /// Metallic grey.
+    Grey,
+    /// Metallic silver.
+    Silver,
+    /// Solid white.
+    White,
+    /// Pearl white.
+    Pearl,
+    /// Metallic dark red.
+    Burgundy,
+    /// Solid red.
+    Red,
+    /// Metallic dark blue.
+    Navy,
+    /// Metallic blue.
+    Blue,
+    /// Solid light blue.
+    Sky,
+    /// Metallic dark green.
+    Green,
+    /// Solid pale green.
+    Mint,
+    /// Solid yellow.
+    Yellow,
+    /// Metallic orange.
+    Orange,
+    /// Metallic beige.
+    Beige,
+    /// Metallic brown.
+    Brown,
+    /// Metallic copper.
+    Copper,
+}
+
+impl Paint {
+    /// All of them.
+    pub const ALL: [Self; 18] = [
+        Self::Black,
+        Self::Anthracite,
+        Self::Grey,
+        Self::Silver,
+        Self::White,
+        Self::Pearl,
+        Self::Burgundy,
+        Self::Red,
+        Self::Navy,
+        Self::Blue,
+        Self::Sky,
+        Self::Green,
+        Self::Mint,
+        Self::Yellow,
+        Self::Orange,
+        Self::Beige,
+        Self::Brown,
+        Self::Copper,
+    ];
+
+    /// Diffuse colour and colour of the metal flakes, linear.
+    #[rustfmt::skip]
+    const fn colors(self) -> [[f32; 3]; 2] {
+        match self {
+            Self::Black => [[0.010, 0.010, 0.011], [0.0; 3]],
+            Self::Anthracite => [[0.018, 0.019, 0.021], [0.060, 0.063, 0.068]],
+            Self::Grey => [[0.070, 0.072, 0.075], [0.13, 0.135, 0.14]],
+            Self::Silver => [[0.20, 0.205, 0.21], [0.30, 0.305, 0.31]],
+            Self::White => [[0.74, 0.74, 0.73], [0.0; 3]],
+            Self::Pearl => [[0.62, 0.61, 0.58], [0.10, 0.10, 0.11]],
+            Self::Burgundy => [[0.085, 0.006, 0.010], [0.16, 0.012, 0.018]],
+            Self::Red => [[0.48, 0.018, 0.014], [0.0; 3]],
+            Self::Navy => [[0.006, 0.014, 0.060], [0.015, 0.035, 0.13]],
+            Self::Blue => [[0.012, 0.060, 0.24], [0.03, 0.11, 0.34]],
+            Self::Sky => [[0.18, 0.36, 0.52], [0.0; 3]],
+            Self::Green => [[0.006, 0.040, 0.020], [0.014, 0.075, 0.040]],
+            Self::Mint => [[0.36, 0.52, 0.42], [0.0; 3]],
+            Self::Yellow => [[0.66, 0.42, 0.015], [0.0; 3]],
+            Self::Orange => [[0.42, 0.10, 0.008], [0.30, 0.09, 0.015]],
+            Self::Beige => [[0.25, 0.205, 0.14], [0.20, 0.175, 0.13]],
+            Self::Brown => [[0.040, 0.022, 0.012], [0.085, 0.050, 0.030]],
+            Self::Copper => [[0.15, 0.060, 0.025], [0.22, 0.095, 0.045]],
+        }
+    }
+}
+
+/// The bodies and paints that a scene may draw from.
+#[derive(Debug, Clone, Copy)]
+pub struct Wardrobe<'a> {
+    /// Bodies.
+    pub bodies: &'a [BodyStyle],
+    /// Paints.
+    pub paints: &'a [Paint],
+}
+
+impl Wardrobe<'static> {
+    /// Every body and every paint.
+    pub const ALL: Self = Self {
+        bodies: &BodyStyle::ALL,
+        paints: &Paint::ALL,
+    };
+}
 
 impl Vehicle {
     /// A vehicle of the given number: numbers that differ by less than 7 differ in style, and by
     /// less than 13 in paint.
     ///
     /// It stands at `(x, y)` on the ground and heads `heading` radians from the world's x axis.
-    pub(crate) fn draw(number: u32, at: [f64; 2], heading: f64, rng: &mut impl Rng) -> Self {
-        let styles = BodyStyle::ALL;
-        let mut shape = Shape::of(styles[number as usize % styles.len()]);
+    pub(crate) fn draw(
+        number: u32,
+        wardrobe: Wardrobe,
+        at: [f64; 2],
+        heading: f64,
+        rng: &mut impl Rng,
+    ) -> Self {
+        let Wardrobe { bodies, paints } = wardrobe;
+        let mut shape = Shape::of(bodies[number as usize % bodies.len()]);
         let [length, width, height] = [(); 3].map(|()| rng.random_range(0.95..1.05_f32));
         shape.length *= length;
         shape.wheelbase *= length;
@@ -151,17 +252,17 @@ impl Vehicle {
         shape.height *= height;
         // A step coprime to the list's length visits every paint before it repeats one; the shift
         // after each round keeps style and paint from pairing up.
-        let base = Vec3A::from_array(
-            PAINTS[(number as usize * 5 + number as usize / 14 + 3) % PAINTS.len()],
-        );
-        let paint = (base * rng.random_range(0.85..1.15_f32)).min(Vec3A::splat(0.82));
+        let paint = paints[(number as usize * 5 + number as usize / paints.len() + 3) % paints.len()];
+        let shade = rng.random_range(0.85..1.15_f32);
+        let colors =
+            paint.colors().map(|c| (Vec3A::from_array(c) * shade).min(Vec3A::splat(0.80)));
         let mesh = body::build(&shape);
-        Self::place(shape, paint, rng.random(), &mesh, at, heading)
+        Self::place(shape, colors, rng.random(), &mesh, at, heading)
     }
 
     fn place(
         shape: Shape,
-        paint: Vec3A,
+        [paint, flakes]: [Vec3A; 2],
         seed: u32,
         mesh: &Mesh,
         at: [f64; 2],
@@ -196,6 +297,7 @@ impl Vehicle {
         Self {
             shape,
             paint,
+            flakes,
             seed,
             center_world,
             forward_world,
@@ -252,7 +354,7 @@ mod tests {
     fn every_style_fills_a_box_of_about_its_size_around_its_centre() {
         let mut rng = Pcg64::seed_from_u64(5);
         for number in 0..7 {
-            let vehicle = Vehicle::draw(number, [3.0, -2.0], 0.7, &mut rng);
+            let vehicle = Vehicle::draw(number, Wardrobe::ALL, [3.0, -2.0], 0.7, &mut rng);
             let [length, width, height] = vehicle.size_m;
             assert!((3.7..5.7).contains(&length), "{length}");
             assert!((1.6..2.4).contains(&width), "{width}");
@@ -272,7 +374,7 @@ mod tests {
     fn neighbouring_vehicles_differ_in_style_and_paint() {
         let mut rng = Pcg64::seed_from_u64(5);
         let vehicles: Vec<Vehicle> = (0..7)
-            .map(|n| Vehicle::draw(n, [0.0, 0.0], 0.0, &mut rng))
+            .map(|n| Vehicle::draw(n, Wardrobe::ALL, [0.0, 0.0], 0.0, &mut rng))
             .collect();
         for pair in vehicles.windows(2) {
             assert_ne!(pair[0].style(), pair[1].style());
@@ -283,7 +385,7 @@ mod tests {
     #[test]
     fn vehicle_axes_invert_the_placement() {
         let mut rng = Pcg64::seed_from_u64(1);
-        let vehicle = Vehicle::draw(2, [10.0, 4.0], 2.1, &mut rng);
+        let vehicle = Vehicle::draw(2, Wardrobe::ALL, [10.0, 4.0], 2.1, &mut rng);
         let [x, y, _] = vehicle.center_world;
         let [fx, fy, _] = vehicle.forward_world;
         let ahead = Vec3A::new((x + 2.0 * fx) as f32, (y + 2.0 * fy) as f32, 0.5);
