@@ -6,8 +6,8 @@ use image::RgbImage;
 use rayon::prelude::*;
 use twinsight::detector::Detection;
 use twinsight::geometry::{PixelBox, StereoRig};
-use twinsight::render::{Eye, RenderSettings, RigPose, Stage, render};
-use twinsight::world::{Scene, Sun};
+use twinsight::render::{Conditions, Eye, RenderSettings, RigPose, Stage, render};
+use twinsight::world::{Scene, Sun, Wardrobe};
 use twinsight::{Error, Result};
 
 const SEED: u64 = 1;
@@ -33,7 +33,7 @@ pub fn rig([width, height]: [u32; 2]) -> Result<StereoRig> {
 
 /// A city with one vehicle.
 pub fn stage() -> Stage {
-    Stage::new(Scene::draw(SEED, 0, REACH_M))
+    Stage::new(Scene::draw(SEED, 0, REACH_M, Wardrobe::ALL))
 }
 
 /// A view from behind the vehicle, above the road, from this distance.
@@ -61,12 +61,13 @@ pub fn render_views(stage: &Stage, rig: &StereoRig, views: &[RigPose]) -> Vec<[R
         samples_per_pixel: 4,
         noise_counts: 1.5,
         noise_seed: SEED,
+        conditions: Conditions::fair(Sun::Noon),
     };
     views
         .par_iter()
         .map(|view| {
             let [left, right] =
-                Eye::BOTH.map(|eye| move || render(stage, rig, view, eye, Sun::Noon, &settings));
+                Eye::BOTH.map(|eye| move || render(stage, rig, view, eye, &settings));
             let (left, right) = rayon::join(left, right);
             [left, right]
         })

@@ -69,11 +69,15 @@ impl Film {
 
     /// The pixel at (x, y) of the image.
     pub fn develop(&self, light: Vec3A, x: u32, y: u32) -> [u8; 3] {
-        let [dx, dy] = [x as f32 + 0.5 - self.middle[0], y as f32 + 0.5 - self.middle[1]];
+        let [dx, dy] = [
+            x as f32 + 0.5 - self.middle[0],
+            y as f32 + 0.5 - self.middle[1],
+        ];
         let fall = 1.0 - self.vignetting * (dx * dx + dy * dy) * self.inverse_reach;
         let exposed = light * self.gain * fall;
         let grey = exposed.dot(LUMA);
-        let colored = (Vec3A::splat(grey) + (exposed - grey) * self.saturation).max(Vec3A::ZERO);
+        let colored =
+            (Vec3A::splat(grey) + (exposed - grey) * (1.08 * self.saturation)).max(Vec3A::ZERO);
         let seed = hash(x.cast_signed(), y.cast_signed(), self.noise_seed);
         let mut channel: u32 = 0;
         colored.to_array().map(|value| {
@@ -103,10 +107,10 @@ impl Film {
 /// times the light of a white wall's grey. Mid grey (0.18) stays where it is for contrast 1.
 fn curve(light: f32, contrast: f32) -> f32 {
     const GREY: f32 = 0.18;
-    let x = GREY * libm::powf(light / GREY, contrast * 1.12);
+    const WHITE: f32 = 9.0;
+    let x = GREY * libm::powf(light / GREY, contrast * 1.2);
     // Reinhard's curve with a white point, scaled so that grey maps to grey, after a toe that
     // deepens the last two stops.
-    const WHITE: f32 = 9.0;
     let toe = x / (x + 0.012);
     let x = x * 1.22 * toe;
     (x * (1.0 + x / (WHITE * WHITE)) / (1.0 + 0.82 * x)).min(1.0)
@@ -160,7 +164,9 @@ mod tests {
     #[test]
     fn the_curve_rises_from_black_over_grey_to_white() {
         for contrast in [0.7, 1.0, 1.3] {
-            let values: Vec<f32> = (0..2000).map(|i| curve(i as f32 * 0.01, contrast)).collect();
+            let values: Vec<f32> = (0..2000)
+                .map(|i| curve(i as f32 * 0.01, contrast))
+                .collect();
             assert_eq!(values[0], 0.0);
             assert!(values.windows(2).all(|pair| pair[0] <= pair[1]));
             assert!((0.14..0.24).contains(&curve(0.18, contrast)));
@@ -185,9 +191,13 @@ mod tests {
             vignetting: 0.5,
             ..Conditions::fair(Sun::Noon)
         };
-        let noise = Noise { counts: 0.0, seed: 1 };
+        let noise = Noise {
+            counts: 0.0,
+            seed: 1,
+        };
         let film = Film::new(&conditions, 1.0, Vec3A::ONE, [64, 36], noise);
-        let [corner, middle] = [(0, 0), (32, 18)].map(|(x, y)| film.develop(Vec3A::splat(0.2), x, y));
+        let [corner, middle] =
+            [(0, 0), (32, 18)].map(|(x, y)| film.develop(Vec3A::splat(0.2), x, y));
         assert!(f32::from(corner[0]) < 0.8 * f32::from(middle[0]));
     }
 }

@@ -26,8 +26,12 @@ pub(super) struct Forest {
 impl Forest {
     pub fn new(plants: &[Plant]) -> Self {
         static TEMPLATES: std::sync::OnceLock<Vec<Tree>> = std::sync::OnceLock::new();
-        let templates =
-            TEMPLATES.get_or_init(|| templates().iter().map(|m| Tree::new(&m.triangles)).collect());
+        let templates = TEMPLATES.get_or_init(|| {
+            templates()
+                .iter()
+                .map(|m| Tree::new(&m.triangles))
+                .collect()
+        });
         let boxes: Vec<Aabb> = plants
             .iter()
             .map(|plant| bounds(plant, &templates[usize::from(plant.template)]))
@@ -59,20 +63,24 @@ impl Forest {
         let mut found = None;
         let mut nearest = limit;
         let mut hit = RayHit::none();
-        bvh.ray_traverse(Ray::new(origin, direction, 0.0, limit), &mut hit, |_, index| {
-            let plant = &self.plants[index];
-            let [from, to] = local(plant, origin, direction);
-            let tree = &self.templates[usize::from(plant.template)];
-            let Some((t, triangle)) = tree.nearest(from, to, nearest / plant.scale) else {
-                return f32::INFINITY;
-            };
-            let t = t * plant.scale;
-            if t < nearest {
-                nearest = t;
-                found = Some((t, index as u32, triangle));
-            }
-            t
-        });
+        bvh.ray_traverse(
+            Ray::new(origin, direction, 0.0, limit),
+            &mut hit,
+            |_, index| {
+                let plant = &self.plants[index];
+                let [from, to] = local(plant, origin, direction);
+                let tree = &self.templates[usize::from(plant.template)];
+                let Some((t, triangle)) = tree.nearest(from, to, nearest / plant.scale) else {
+                    return f32::INFINITY;
+                };
+                let t = t * plant.scale;
+                if t < nearest {
+                    nearest = t;
+                    found = Some((t, index as u32, triangle));
+                }
+                t
+            },
+        );
         found
     }
 
@@ -141,7 +149,10 @@ mod tests {
             let [from, to] = local(&plant, origin, direction);
             let single = forest.templates[0].nearest(from, to, f32::INFINITY);
             let planted = forest.nearest(origin, direction, f32::INFINITY);
-            assert_eq!(single.map(|(t, _)| t * plant.scale), planted.map(|(t, ..)| t));
+            assert_eq!(
+                single.map(|(t, _)| t * plant.scale),
+                planted.map(|(t, ..)| t)
+            );
             assert_eq!(forest.is_free(origin, direction, 100.0), planted.is_none());
             hits += u32::from(planted.is_some());
         }

@@ -6,8 +6,8 @@ use image::RgbImage;
 use super::appearance::Conditions;
 use super::film::{Film, Noise};
 use super::lens;
-use super::pose::{Eye, RigPose};
 use super::material::{GROUND_FACE, VEHICLE_FACES};
+use super::pose::{Eye, RigPose};
 use super::shade::{Lit, Sample, Shader};
 use super::trace::Stage;
 use crate::geometry::StereoRig;
@@ -96,7 +96,7 @@ pub fn render(
 /// The camera's white balance: it takes out a good half of the light's colour, as cameras do, so
 /// that an evening stays warm.
 fn balance(light: &Light) -> Vec3A {
-    let white = light.sun * light.direction.z.max(0.15) + light.from_sky(Vec3A::Z);
+    let white = light.sun * light.direction.z.max(0.15) + light.skylight(Vec3A::Z);
     let scaled = white / white.dot(LUMA);
     Vec3A::from_array(scaled.to_array().map(|v| libm::powf(v, -0.55)))
 }
@@ -145,9 +145,9 @@ impl View<'_> {
     fn exposure(&self) -> f32 {
         const COLUMNS: u32 = 32;
         const ROWS: u32 = 18;
-        const GREY: f32 = 0.20;
+        const GREY: f32 = 0.23;
         /// Light that a tenth of the picture may exceed.
-        const BRIGHT: f32 = 0.85;
+        const BRIGHT: f32 = 1.15;
         let camera = self.eye.camera(self.rig);
         let origin = Vec3A::from_array(self.pose.position_world.map(|v| v as f32));
         let step = [
@@ -163,7 +163,10 @@ impl View<'_> {
                     (f64::from(row) + 0.5) * step[1],
                 ];
                 let direction = self.pose.world_from_pixel(camera, pixel);
-                let light = self.shader.sample(origin, direction, angle * 0.3, None).light;
+                let light = self
+                    .shader
+                    .sample(origin, direction, angle * 0.3, None)
+                    .light;
                 light.dot(LUMA).max(1e-4)
             })
             .collect();

@@ -7,7 +7,7 @@ use image::RgbImage;
 use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
 
 /// Blurs an image by a Gaussian of this standard deviation in pixels; edges repeat.
-pub(crate) fn blur(light: &mut Vec<Vec3A>, width: usize, height: usize, deviation: f32) {
+pub(crate) fn blur(light: &mut [Vec3A], width: usize, height: usize, deviation: f32) {
     // Less than this leaves nine tenths of the light where it was.
     if deviation < 0.2 || width == 0 {
         return;
@@ -48,11 +48,12 @@ pub(crate) fn blur(light: &mut Vec<Vec3A>, width: usize, height: usize, deviatio
 pub(crate) fn compress(image: RgbImage, quality: u8) -> RgbImage {
     let mut bytes = Vec::new();
     let packed = JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(&image);
-    let unpacked = packed.and_then(|()| {
-        image::DynamicImage::from_decoder(JpegDecoder::new(Cursor::new(&bytes))?)
-    });
+    let unpacked = packed
+        .and_then(|()| image::DynamicImage::from_decoder(JpegDecoder::new(Cursor::new(&bytes))?));
     match unpacked {
-        Ok(unpacked) if unpacked.width() == image.width() && unpacked.height() == image.height() => {
+        Ok(unpacked)
+            if unpacked.width() == image.width() && unpacked.height() == image.height() =>
+        {
             unpacked.into_rgb8()
         }
         _ => image,

@@ -120,7 +120,12 @@ fn ground_point(stage: &Stage, gaze: &Gaze, at: Vec3A, width_m: f32) -> Point {
         ..Point::matt(at, Vec3A::Z, soil.albedo)
     };
     if gaze.wetness > 0.0 {
-        wet(&mut point, gaze.wetness * soil.paved, footprint_m, layout.seed);
+        wet(
+            &mut point,
+            gaze.wetness * soil.paved,
+            footprint_m,
+            layout.seed,
+        );
     }
     point
 }
@@ -175,7 +180,11 @@ fn plant_point(
         let open = mix(0.45, 0.9, smooth_step(3.0, 0.5, local.z));
         return Point {
             open,
-            ..Point::matt(at, normal, Vec3A::new(0.13, 0.10, 0.075) * (1.0 + 0.4 * grain))
+            ..Point::matt(
+                at,
+                normal,
+                Vec3A::new(0.13, 0.10, 0.075) * (1.0 + 0.4 * grain),
+            )
         };
     }
     let seed = u32::from(plant.tint) * 31 + 7;
@@ -185,7 +194,11 @@ fn plant_point(
     let own = noise::unit(noise::hash(corner.x as i32, corner.z as i32, seed));
     let vivid = (1.6 - width_m / 0.3).clamp(0.0, 1.0);
     let tone = 1.0 + 0.55 * (own - 0.5) * vivid;
-    let green = Vec3A::new(0.055 + 0.055 * warm, 0.098 + 0.018 * warm, 0.024 + 0.008 * own);
+    let green = Vec3A::new(
+        0.055 + 0.055 * warm,
+        0.098 + 0.018 * warm,
+        0.024 + 0.008 * own,
+    );
     let open = leaf_openness(plant.template, local);
     Point {
         open,
@@ -217,7 +230,8 @@ fn surface(
             Point {
                 mirror: 0.055,
                 gloss: look.glass,
-                mirror_normal: (normal + along * look.tilt[0] + Vec3A::Z * look.tilt[1]).normalize(),
+                mirror_normal: (normal + along * look.tilt[0] + Vec3A::Z * look.tilt[1])
+                    .normalize(),
                 sun: look.sun,
                 open: look.open * mix(0.72, 1.0, smooth_step(0.0, 2.5, at.z)),
                 ..matt(look.albedo)
@@ -227,7 +241,12 @@ fn surface(
             let roof = scene.city.buildings[usize::from(index)].roof(at, normal, footprint_m);
             let mut point = matt(roof);
             if gaze.wetness > 0.0 && normal.z > 0.9 {
-                wet(&mut point, gaze.wetness * 0.8, footprint_m, u32::from(index));
+                wet(
+                    &mut point,
+                    gaze.wetness * 0.8,
+                    footprint_m,
+                    u32::from(index),
+                );
             }
             point
         }
@@ -260,24 +279,7 @@ fn surface(
                 ..matt(Vec3A::new(0.27, 0.28, 0.29) * (1.0 + 0.2 * grain))
             }
         }
-        Surface::Painted(index) => {
-            const COLORS: [[f32; 3]; 8] = [
-                [0.025, 0.060, 0.035],
-                [0.30, 0.30, 0.29],
-                [0.045, 0.047, 0.05],
-                [0.03, 0.07, 0.16],
-                [0.34, 0.025, 0.02],
-                [0.42, 0.27, 0.03],
-                [0.20, 0.115, 0.06],
-                [0.28, 0.15, 0.11],
-            ];
-            let grain = fractal(at.x + at.z, at.y - at.z, 0.6, 2, footprint_m, 17);
-            let base = Vec3A::from_array(COLORS[usize::from(index) % COLORS.len()]);
-            Point {
-                open: mix(0.6, 1.0, smooth_step(0.0, 0.6, at.z)),
-                ..matt(base * (1.0 + 0.22 * grain))
-            }
-        }
+        Surface::Painted(index) => painted(index, at, normal, footprint_m),
         Surface::Sign => sign(at, normal),
         Surface::Signal(lit) => signal(at, normal, lit),
         Surface::Vehicle(part) => {
@@ -285,7 +287,11 @@ fn surface(
             let local = vehicle.vehicle_from_world(at);
             let local_normal = vehicle.vehicle_direction_from_world(normal);
             let finish = livery::finish(vehicle, part, local, local_normal, footprint_m);
-            let low = if part == VehiclePart::Wheel { 0.25 } else { 0.40 };
+            let low = if part == VehiclePart::Wheel {
+                0.25
+            } else {
+                0.40
+            };
             Point {
                 mirror: finish.mirror,
                 gloss: if finish.mirror > 0.0 { 1.0 } else { 0.0 },
@@ -296,6 +302,26 @@ fn surface(
                 ..matt(finish.albedo)
             }
         }
+    }
+}
+
+/// Street furniture.
+fn painted(index: u16, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Point {
+    const COLORS: [[f32; 3]; 8] = [
+        [0.025, 0.060, 0.035],
+        [0.30, 0.30, 0.29],
+        [0.045, 0.047, 0.05],
+        [0.03, 0.07, 0.16],
+        [0.34, 0.025, 0.02],
+        [0.42, 0.27, 0.03],
+        [0.20, 0.115, 0.06],
+        [0.28, 0.15, 0.11],
+    ];
+    let grain = fractal(at.x + at.z, at.y - at.z, 0.6, 2, footprint_m, 17);
+    let base = Vec3A::from_array(COLORS[usize::from(index) % COLORS.len()]);
+    Point {
+        open: mix(0.6, 1.0, smooth_step(0.0, 0.6, at.z)),
+        ..Point::matt(at, normal, base * (1.0 + 0.22 * grain))
     }
 }
 

@@ -47,8 +47,11 @@ impl Openness {
         for solid in city.solids() {
             // Cells whose middle lies inside.
             let first = [0, 1].map(|i| (cell(solid.low[i], i) - 0.5).ceil().max(0.0) as usize);
-            let last =
-                [0, 1].map(|i| (cell(solid.high[i], i) + 0.5).floor().clamp(0.0, CELLS as f32));
+            let last = [0, 1].map(|i| {
+                (cell(solid.high[i], i) + 0.5)
+                    .floor()
+                    .clamp(0.0, CELLS as f32)
+            });
             for row in first[1]..last[1] as usize {
                 for column in first[0]..last[0] as usize {
                     let height = &mut skyline[row * CELLS + column];

@@ -223,11 +223,12 @@ impl Shader<'_> {
         }
         let grazing = (1.0 - facing).clamp(0.0, 1.0);
         let grazing_2 = grazing * grazing;
-        let share = point.gloss
-            * (point.mirror + (1.0 - point.mirror) * grazing_2 * grazing_2 * grazing);
+        let share =
+            point.gloss * (point.mirror + (1.0 - point.mirror) * grazing_2 * grazing_2 * grazing);
         let seen = if share > LEAST_SHARE && mirrored.dot(normal) > 0.0 {
             let angle = ray.angle.max(0.012);
-            self.trace(point.start(ray.t), mirrored, angle, RayKind::Mirrored, None).light
+            self.trace(point.start(ray.t), mirrored, angle, RayKind::Mirrored, None)
+                .light
         } else {
             self.street(mirrored, open)
         };
@@ -243,7 +244,7 @@ impl Shader<'_> {
     fn around(&self, normal: Vec3A, open: f32, nearby: f32) -> Vec3A {
         let light = self.light;
         let up = 0.5 + 0.5 * normal.z;
-        let sky = light.from_sky(normal) * open;
+        let sky = light.skylight(normal) * open;
         // The sun reaches the ground of a canyon for a part of its width only.
         let ground = light.ground * mix(0.30, 0.95, open * open) * (1.0 - up);
         let walls = light.ground * (0.42 * (1.0 - open) * (0.35 + 0.65 * up));
@@ -255,7 +256,7 @@ impl Shader<'_> {
         let near = mirrored.dot(self.light.direction).max(0.0);
         let near_4 = near * near * near * near;
         let near_16 = near_4 * near_4 * near_4 * near_4;
-        let sky = self.light.from_sky(mirrored) * mix(0.6, 1.0, open);
+        let sky = self.light.skylight(mirrored) * mix(0.6, 1.0, open);
         let street = self.light.ground * (0.5 - 0.5 * mirrored.z);
         point.flakes * ((sky + street) * point.open + sun * (near_16 * 2.2 + near_4 * 0.25))
     }

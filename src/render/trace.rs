@@ -53,7 +53,7 @@ impl std::fmt::Debug for Stage {
             .field("vehicle", &self.scene.vehicle.style())
             .field("city_triangles", &self.city.triangles.len())
             .field("vehicle_triangles", &self.vehicle.triangles.len())
-            .finish()
+            .finish_non_exhaustive()
     }
 }
 
@@ -149,7 +149,9 @@ impl Tree {
 
     /// Whether a ray may pass through the box: a quick test for small things in a large scene.
     fn is_near(&self, ray: &Ray) -> bool {
-        let [a, b] = self.bounds.map(|corner| (corner - ray.origin) * ray.inv_direction);
+        let [a, b] = self
+            .bounds
+            .map(|corner| (corner - ray.origin) * ray.inv_direction);
         let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
         enter <= leave && leave >= 0.0 && enter <= ray.tmax
     }
@@ -246,8 +248,7 @@ impl Stage {
 
     /// Whether nothing of the city stands within `limit` metres along a ray.
     pub(crate) fn is_free_of_city(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
-        self.city.is_free(origin, direction, limit)
-            && self.forest.is_free(origin, direction, limit)
+        self.city.is_free(origin, direction, limit) && self.forest.is_free(origin, direction, limit)
     }
 
     /// Whether nothing at all stands in the way, however far.

@@ -66,7 +66,10 @@ fn asphalt(x: f32, y: f32, footprint_m: f32, seed: u32) -> Vec3A {
     let patch = noise::hash(cell_x as i32, cell_y as i32, seed ^ 0x77);
     if patch.is_multiple_of(13) {
         let (u, v) = (x - cell_x * 3.7, y - cell_y * 2.3);
-        let size = [2.2 + 1.4 * noise::unit(patch ^ 0x1), 1.2 + noise::unit(patch ^ 0x2)];
+        let size = [
+            2.2 + 1.4 * noise::unit(patch ^ 0x1),
+            1.2 + noise::unit(patch ^ 0x2),
+        ];
         if u < size[0] && v < size[1] {
             level *= 0.70 + 0.42 * noise::unit(patch ^ 0x5bd1);
             let seam = u.min(size[0] - u).min(v).min(size[1] - v);
@@ -81,6 +84,7 @@ fn asphalt(x: f32, y: f32, footprint_m: f32, seed: u32) -> Vec3A {
 fn crack(x: f32, y: f32, footprint_m: f32, seed: u32) -> f32 {
     const SCALE: f32 = 0.33;
     const HALF_WIDTH_M: f32 = 0.011;
+    const STEP: f32 = 0.12;
     let bend = 0.5 * noise::value(x * 1.9, y * 1.9, seed ^ 0x33);
     let field = |x: f32, y: f32| noise::value(x * SCALE + bend, y * SCALE, seed ^ 0x31) - 0.5;
     let here = field(x, y);
@@ -88,7 +92,6 @@ fn crack(x: f32, y: f32, footprint_m: f32, seed: u32) -> f32 {
         return 0.0;
     }
     // The distance to the line is the field over its slope.
-    const STEP: f32 = 0.12;
     let [dx, dy] = [field(x + STEP, y) - here, field(x, y + STEP) - here];
     let slope = (dx * dx + dy * dy).sqrt() / STEP;
     if slope < 0.02 {
@@ -135,7 +138,7 @@ struct Lane {
     side: f32,
     along: f32,
     half_width: f32,
-    lane_m: f32,
+    width_m: f32,
     /// Distance to the crossing road's kerb.
     to_crossing: f32,
     /// Whether traffic on this side drives towards the crossing; it keeps to the right.
@@ -151,7 +154,7 @@ impl Lane {
             side: road.offset,
             along,
             half_width,
-            lane_m: half_width * if half_width > 5.0 { 0.5 } else { 1.0 },
+            width_m: half_width * if half_width > 5.0 { 0.5 } else { 1.0 },
             to_crossing: crossing.offset.abs() - crossing.half_width,
             approaching: forth * crossing.offset < 0.0,
         }
@@ -159,7 +162,7 @@ impl Lane {
 
     /// Tyres polish two tracks in each lane, oil drips between them, braking blackens the tracks.
     fn wear(&self, footprint_m: f32) -> f32 {
-        let lane = self.lane_m;
+        let lane = self.width_m;
         let in_lane = self.side.abs() % lane;
         let track = stripe(in_lane, lane * 0.27, 0.30, footprint_m)
             + stripe(in_lane, lane * 0.73, 0.30, footprint_m);
@@ -176,7 +179,14 @@ impl Lane {
     fn paint(&self, seed: u32, footprint_m: f32) -> (f32, Vec3A) {
         const WHITE: Vec3A = Vec3A::new(0.60, 0.59, 0.56);
         const YELLOW: Vec3A = Vec3A::new(0.52, 0.36, 0.06);
-        let Self { side, along, half_width, lane_m, to_crossing, .. } = *self;
+        let Self {
+            side,
+            along,
+            half_width,
+            width_m,
+            to_crossing,
+            ..
+        } = *self;
         if to_crossing < 4.6 {
             let zebra = if (0.9..4.1).contains(&to_crossing) && side.abs() < half_width - 0.3 {
                 stripes(side, 1.05, 0.28, 0.52, footprint_m)
@@ -196,7 +206,11 @@ impl Lane {
         } else {
             line(0.0) * stripes(along, 6.0, 0.0, 3.0, footprint_m)
         };
-        let tint = if seed.is_multiple_of(3) { YELLOW } else { WHITE };
+        let tint = if seed.is_multiple_of(3) {
+            YELLOW
+        } else {
+            WHITE
+        };
         if middle > 0.0 {
             return (middle, tint);
         }
@@ -208,7 +222,7 @@ impl Lane {
             } else {
                 stripes(along, 9.0, 0.0, 3.5, footprint_m)
             };
-            paint += (line(-lane_m) + line(lane_m)) * dashes;
+            paint += (line(-width_m) + line(width_m)) * dashes;
         }
         if !seed.is_multiple_of(4) {
             paint += line(0.35 - half_width) + line(half_width - 0.35);
@@ -221,7 +235,7 @@ impl Lane {
 
     /// An arrow in the middle of the lane towards the crossing.
     fn arrow(&self, footprint_m: f32) -> f32 {
-        let off = self.side.abs() % self.lane_m - self.lane_m * 0.5;
+        let off = self.side.abs() % self.width_m - self.width_m * 0.5;
         let ahead = self.to_crossing - 8.0;
         if ahead < 1.7 {
             stripe(off, 0.0, 0.42 * ahead / 1.7, footprint_m)
@@ -281,8 +295,13 @@ fn block_ground(block: &Block, inside: f32, x: f32, y: f32, footprint_m: f32) ->
         }
         Use::Built => {
             let grain = fractal(x, y, 1.5, 4, footprint_m, seed);
-            let joints = stripes(x, 1.2, 0.0, 0.02, footprint_m)
-                .max(stripes(y, 1.2, 0.0, 0.02, footprint_m));
+            let joints = stripes(x, 1.2, 0.0, 0.02, footprint_m).max(stripes(
+                y,
+                1.2,
+                0.0,
+                0.02,
+                footprint_m,
+            ));
             let tone = Vec3A::new(0.21, 0.20, 0.185);
             paved(tone * (1.0 + 0.22 * grain) * (1.0 - 0.4 * joints))
         }
@@ -317,7 +336,11 @@ fn pavement(block: &Block, inside: f32, x: f32, y: f32, footprint_m: f32) -> Vec
     // Chewing gum and other spots.
     let near = (1.2 - footprint_m / 0.05).clamp(0.0, 1.0);
     let spot = if near > 0.0 {
-        let cell = noise::hash((x * 9.0).floor() as i32, (y * 9.0).floor() as i32, block.seed);
+        let cell = noise::hash(
+            (x * 9.0).floor() as i32,
+            (y * 9.0).floor() as i32,
+            block.seed,
+        );
         f32::from(u8::from(cell.is_multiple_of(41))) * near
     } else {
         0.0
@@ -332,10 +355,15 @@ fn grass(x: f32, y: f32, footprint_m: f32, seed: u32) -> Vec3A {
     let large = fractal(x, y, 14.0, 3, footprint_m, seed);
     let fine = fractal(x, y, 0.5, 3, footprint_m, seed ^ 0x2f);
     let dry = (0.5 + 0.9 * large).clamp(0.0, 1.0);
-    let tone = Vec3A::new(0.050, 0.088, 0.026) * (1.0 - dry) + Vec3A::new(0.115, 0.118, 0.048) * dry;
+    let tone =
+        Vec3A::new(0.050, 0.088, 0.026) * (1.0 - dry) + Vec3A::new(0.115, 0.118, 0.048) * dry;
     // Blades throw shade on each other.
     let blades = if footprint_m < 0.08 {
-        let cell = noise::hash((x * 28.0).floor() as i32, (y * 28.0).floor() as i32, seed ^ 0x6b);
+        let cell = noise::hash(
+            (x * 28.0).floor() as i32,
+            (y * 28.0).floor() as i32,
+            seed ^ 0x6b,
+        );
         (noise::unit(cell) - 0.5) * (1.2 - footprint_m / 0.07).clamp(0.0, 1.0)
     } else {
         0.0

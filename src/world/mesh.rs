@@ -40,8 +40,14 @@ pub(crate) enum VehiclePart {
     Cabin,
     /// Tyres and rims.
     Wheel,
-    /// Small plastic parts.
+    /// Mirrors.
     Trim,
+    /// Roof rails and aerials.
+    Rail,
+    /// A taxi's sign.
+    RoofSign,
+    /// A truck's box.
+    Cargo,
 }
 
 /// One triangle.
@@ -86,13 +92,7 @@ impl Mesh {
     }
 
     /// One triangle of a face.
-    pub fn push(
-        &mut self,
-        vertices: [Vec3A; 3],
-        normals: [Vec3A; 3],
-        surface: Surface,
-        face: u32,
-    ) {
+    pub fn push(&mut self, vertices: [Vec3A; 3], normals: [Vec3A; 3], surface: Surface, face: u32) {
         self.triangles.push(Triangle {
             vertices,
             normals,

@@ -14,13 +14,15 @@ mod layout;
 pub(crate) mod livery;
 pub(crate) mod mesh;
 pub(crate) mod noise;
+mod paint;
 mod scene;
 pub(crate) mod sky;
 mod sun;
 pub(crate) mod tree;
 mod vehicle;
 
+pub use paint::Paint;
 pub use scene::Scene;
 pub use sky::Air;
 pub use sun::{Sun, SunPlace};
-pub use vehicle::{BodyStyle, Paint, Vehicle, Wardrobe};
+pub use vehicle::{BodyStyle, Vehicle, Wardrobe};

@@ -62,8 +62,8 @@ mod tests {
 
     #[test]
     fn the_same_seed_and_number_give_the_same_scene_and_others_do_not() {
-        let [a, b, c] =
-            [(3, 0), (3, 0), (3, 1)].map(|(seed, number)| Scene::draw(seed, number, 60.0, Wardrobe::ALL));
+        let [a, b, c] = [(3, 0), (3, 0), (3, 1)]
+            .map(|(seed, number)| Scene::draw(seed, number, 60.0, Wardrobe::ALL));
         let corners = |s: &Scene| -> Vec<[f32; 3]> {
             s.city
                 .mesh

@@ -11,7 +11,7 @@
 use glam::Vec3A;
 
 use super::mesh::turn;
-use super::noise::mix;
+use super::noise::{mix, smooth_step};
 use super::sun::SunPlace;
 
 /// Texels along a side of the sky's map.
@@ -70,10 +70,14 @@ impl Light {
         let level = (bare_sun.dot(LUMA) * sin_up.max(0.05) + 2.0) * 0.30;
         let layer = Vec3A::new(0.955, 1.0, 1.06) * level;
         let cloud = (bare_sun * (0.10 + 0.25 * sin_up)).max(Vec3A::splat(0.3));
+        // Preetham's horizon turns purple under a high sun; it is pale blue.
+        let day = smooth_step(10.0, 24.0, place.elevation_deg);
         let map: Vec<Vec3A> = (0..SIDE * SIDE)
             .map(|texel| {
                 let toward = direction_of(texel % SIDE, texel / SIDE);
                 let blue = clear.radiance(toward);
+                let pale = Vec3A::new(blue.x.min(0.97 * blue.y), blue.y, blue.z.max(1.07 * blue.y));
+                let blue = blue + (pale - blue) * day;
                 // Single clouds whiten the sky on average; their shapes are drawn where seen.
                 let mean = blue + (cloud - blue) * (0.35 * air.clouds);
                 let grey = layer * ((1.0 + 2.0 * toward.z) * (3.0 / 7.0));
@@ -88,7 +92,7 @@ impl Light {
             map,
             ground: Vec3A::ZERO,
         };
-        let falling = light.sun * direction.z + light.from_sky(Vec3A::Z);
+        let falling = light.sun * direction.z + light.skylight(Vec3A::Z);
         light.ground = falling * Vec3A::new(0.165, 0.16, 0.15);
         light
     }
@@ -110,7 +114,7 @@ impl Light {
     }
 
     /// What a white surface with this normal sends back of the open sky's light.
-    pub fn from_sky(&self, n: Vec3A) -> Vec3A {
+    pub fn skylight(&self, n: Vec3A) -> Vec3A {
         let h = &self.harmonics;
         let light = h[0]
             + h[1] * n.y
@@ -129,7 +133,7 @@ impl Light {
         let glow = toward.dot(self.direction).max(0.0);
         let forward = glow * glow * glow * glow;
         let lit = self.sun * (0.30 + 0.35 * forward) * mix(1.0, 0.55, thickness);
-        lit + self.from_sky(Vec3A::Z) * 0.45
+        lit + self.skylight(Vec3A::Z) * 0.45
     }
 
     /// Light with the haze of a distance in front of it.
@@ -310,7 +314,7 @@ mod tests {
                 whole += solid;
             }
             let exact = sum * (2.0 / whole);
-            let apart = (light.from_sky(Vec3A::Z) - exact).abs() / exact;
+            let apart = (light.skylight(Vec3A::Z) - exact).abs() / exact;
             assert!(apart.max_element() < 0.08, "{sun:?}: {apart}");
         }
     }

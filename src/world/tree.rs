@@ -83,8 +83,14 @@ const FORMS: [Form; KINDS as usize] = [
 
 /// The templates: every kind for near copies, then every kind for far ones.
 pub(crate) fn templates() -> Vec<Mesh> {
-    let near = FORMS.iter().zip(0_u64..).map(|(form, kind)| grow(form, kind, 1.0));
-    let far = FORMS.iter().zip(0_u64..).map(|(form, kind)| grow(form, kind, 2.1));
+    let near = FORMS
+        .iter()
+        .zip(0_u64..)
+        .map(|(form, kind)| grow(form, kind, 1.0));
+    let far = FORMS
+        .iter()
+        .zip(0_u64..)
+        .map(|(form, kind)| grow(form, kind, 2.1));
     near.chain(far).collect()
 }
 
@@ -118,13 +124,22 @@ fn grow(form: &Form, kind: u64, coarse: f32) -> Mesh {
         })
         .collect();
     // The trunk leans a little; branches reach into every second clump.
-    let lean = Vec3A::new(rng.random_range(-0.15..0.15), rng.random_range(-0.15..0.15), 0.0);
+    let lean = Vec3A::new(
+        rng.random_range(-0.15..0.15),
+        rng.random_range(-0.15..0.15),
+        0.0,
+    );
     let fork = center + lean - Vec3A::Z * (0.35 * high);
     let bark = Surface::Bark;
     let foot = form.trunk * 1.25;
     mesh.tube([Vec3A::ZERO, Vec3A::Z * 0.3], [foot * 1.25, foot], 8, bark);
     mesh.tube([Vec3A::Z * 0.3, fork], [foot, form.trunk * 0.8], 8, bark);
-    mesh.tube([fork, center + lean + Vec3A::Z * (0.5 * high)], [form.trunk * 0.8, 0.03], 6, bark);
+    mesh.tube(
+        [fork, center + lean + Vec3A::Z * (0.5 * high)],
+        [form.trunk * 0.8, 0.03],
+        6,
+        bark,
+    );
     for (place, _) in clumps.iter().step_by(2) {
         mesh.tube([fork, *place], [form.trunk * 0.45, 0.02], 5, bark);
     }
@@ -147,7 +162,10 @@ fn grow(form: &Form, kind: u64, coarse: f32) -> Mesh {
         let breadth = length * rng.random_range(0.42..0.62_f32);
         // A spray of leaves: a kite, bent along its middle.
         let droop = facing * (-0.22 * length);
-        let tip = [at - along * length * 0.9 + droop, at + along * length + droop];
+        let tip = [
+            at - along * length * 0.9 + droop,
+            at + along * length + droop,
+        ];
         let edge = [at - side * breadth, at + side * breadth];
         for corners in [[tip[0], edge[0], tip[1]], [tip[0], tip[1], edge[1]]] {
             mesh.push(corners, [normal; 3], leaf, face);

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::body;
 use super::mesh::{Mesh, Triangle};
+use super::paint::Paint;
 
 /// Body styles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,11 +29,19 @@ pub enum BodyStyle {
     Pickup,
     /// Two doors, low.
     Coupe,
+    /// A sedan with a sign on its roof.
+    Taxi,
+    /// Very short, with a tailgate.
+    Compact,
+    /// A long van with windows all around.
+    Minibus,
+    /// A van's cab with a box behind it.
+    Truck,
 }
 
 impl BodyStyle {
     /// All of them.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 11] = [
         Self::Sedan,
         Self::Hatchback,
         Self::Estate,
@@ -40,7 +49,16 @@ impl BodyStyle {
         Self::Van,
         Self::Pickup,
         Self::Coupe,
+        Self::Taxi,
+        Self::Compact,
+        Self::Minibus,
+        Self::Truck,
     ];
+
+    /// Whether its sides are upright and its nose is blunt.
+    pub(crate) const fn is_boxy(self) -> bool {
+        matches!(self, Self::Van | Self::Minibus | Self::Truck)
+    }
 }
 
 /// The measures of a body, metres; `*_part` are parts of the length counted from the front bumper.
@@ -86,6 +104,10 @@ impl Shape {
             BodyStyle::Suv => shape([4.60, 1.90, 1.72], [0.24, 0.37, 2.70], [0.97, 1.12, 1.15], [0.23, 0.37, 0.88, 0.97]),
             BodyStyle::Van => shape([5.15, 1.97, 2.05], [0.20, 0.34, 3.10], [0.97, 1.18, 1.22], [0.14, 0.27, 0.955, 0.985]),
             BodyStyle::Pickup => shape([5.30, 1.90, 1.82], [0.26, 0.38, 3.20], [1.03, 1.16, 1.12], [0.25, 0.36, 0.575, 0.62]),
+            BodyStyle::Taxi => shape([4.80, 1.85, 1.47], [0.17, 0.33, 2.85], [0.77, 0.97, 1.03], [0.25, 0.41, 0.71, 0.86]),
+            BodyStyle::Compact => shape([3.60, 1.66, 1.52], [0.16, 0.29, 2.42], [0.80, 1.00, 1.02], [0.19, 0.36, 0.88, 0.975]),
+            BodyStyle::Minibus => shape([5.70, 2.02, 2.48], [0.21, 0.35, 3.60], [1.02, 1.26, 1.30], [0.11, 0.22, 0.965, 0.99]),
+            BodyStyle::Truck => shape([5.90, 2.02, 2.20], [0.24, 0.36, 3.60], [1.02, 1.24, 1.05], [0.12, 0.22, 0.275, 0.30]),
             BodyStyle::Coupe => shape([4.40, 1.85, 1.30], [0.14, 0.33, 2.60], [0.68, 0.88, 0.93], [0.30, 0.46, 0.63, 0.90]),
         }
     }
@@ -93,6 +115,11 @@ impl Shape {
     /// The x of a part of the length.
     pub fn x(&self, part: f32) -> f32 {
         self.length * (0.5 - part)
+    }
+
+    /// Height of a truck's box.
+    pub fn box_top(&self) -> f32 {
+        self.height + 0.45
     }
 
     /// The x of the front and the rear axle.
@@ -123,97 +150,6 @@ pub struct Vehicle {
     pub(crate) triangles: Vec<Triangle>,
 }
 
-/// Paints by name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Paint {
-    /// Solid black.
-    Black,
-    /// Metallic dark grey.
-    Anthracite,
-    /// Metallic grey.
-    Grey,
-    /// Metallic silver.
-    Silver,
-    /// Solid white.
-    White,
-    /// Pearl white.
-    Pearl,
-    /// Metallic dark red.
-    Burgundy,
-    /// Solid red.
-    Red,
-    /// Metallic dark blue.
-    Navy,
-    /// Metallic blue.
-    Blue,
-    /// Solid light blue.
-    Sky,
-    /// Metallic dark green.
-    Green,
-    /// Solid pale green.
-    Mint,
-    /// Solid yellow.
-    Yellow,
-    /// Metallic orange.
-    Orange,
-    /// Metallic beige.
-    Beige,
-    /// Metallic brown.
-    Brown,
-    /// Metallic copper.
-    Copper,
-}
-
-impl Paint {
-    /// All of them.
-    pub const ALL: [Self; 18] = [
-        Self::Black,
-        Self::Anthracite,
-        Self::Grey,
-        Self::Silver,
-        Self::White,
-        Self::Pearl,
-        Self::Burgundy,
-        Self::Red,
-        Self::Navy,
-        Self::Blue,
-        Self::Sky,
-        Self::Green,
-        Self::Mint,
-        Self::Yellow,
-        Self::Orange,
-        Self::Beige,
-        Self::Brown,
-        Self::Copper,
-    ];
-
-    /// Diffuse colour and colour of the metal flakes, linear.
-    #[rustfmt::skip]
-    const fn colors(self) -> [[f32; 3]; 2] {
-        match self {
-            Self::Black => [[0.010, 0.010, 0.011], [0.0; 3]],
-            Self::Anthracite => [[0.018, 0.019, 0.021], [0.060, 0.063, 0.068]],
-            Self::Grey => [[0.070, 0.072, 0.075], [0.13, 0.135, 0.14]],
-            Self::Silver => [[0.20, 0.205, 0.21], [0.30, 0.305, 0.31]],
-            Self::White => [[0.74, 0.74, 0.73], [0.0; 3]],
-            Self::Pearl => [[0.62, 0.61, 0.58], [0.10, 0.10, 0.11]],
-            Self::Burgundy => [[0.085, 0.006, 0.010], [0.16, 0.012, 0.018]],
-            Self::Red => [[0.48, 0.018, 0.014], [0.0; 3]],
-            Self::Navy => [[0.006, 0.014, 0.060], [0.015, 0.035, 0.13]],
-            Self::Blue => [[0.012, 0.060, 0.24], [0.03, 0.11, 0.34]],
-            Self::Sky => [[0.18, 0.36, 0.52], [0.0; 3]],
-            Self::Green => [[0.006, 0.040, 0.020], [0.014, 0.075, 0.040]],
-            Self::Mint => [[0.36, 0.52, 0.42], [0.0; 3]],
-            Self::Yellow => [[0.66, 0.42, 0.015], [0.0; 3]],
-            Self::Orange => [[0.42, 0.10, 0.008], [0.30, 0.09, 0.015]],
-            Self::Beige => [[0.25, 0.205, 0.14], [0.20, 0.175, 0.13]],
-            Self::Brown => [[0.040, 0.022, 0.012], [0.085, 0.050, 0.030]],
-            Self::Copper => [[0.15, 0.060, 0.025], [0.22, 0.095, 0.045]],
-        }
-    }
-}
-
 /// The bodies and paints that a scene may draw from.
 #[derive(Debug, Clone, Copy)]
 pub struct Wardrobe<'a> {
@@ -232,8 +168,8 @@ impl Wardrobe<'static> {
 }
 
 impl Vehicle {
-    /// A vehicle of the given number: numbers that differ by less than 7 differ in style, and by
-    /// less than 13 in paint.
+    /// A vehicle of the given number: numbers that differ by less than the number of bodies differ in
+    /// style, and by less than that of paints in paint.
     ///
     /// It stands at `(x, y)` on the ground and heads `heading` radians from the world's x axis.
     pub(crate) fn draw(
@@ -250,12 +186,14 @@ impl Vehicle {
         shape.wheelbase *= length;
         shape.width *= width;
         shape.height *= height;
-        // A step coprime to the list's length visits every paint before it repeats one; the shift
-        // after each round keeps style and paint from pairing up.
-        let paint = paints[(number as usize * 5 + number as usize / paints.len() + 3) % paints.len()];
+        // Steps of one visit every paint before one repeats; the shift after each round of styles
+        // keeps style and paint from pairing up.
+        let place = number as usize;
+        let paint = paints[(place + place / bodies.len() + 3) % paints.len()];
         let shade = rng.random_range(0.85..1.15_f32);
-        let colors =
-            paint.colors().map(|c| (Vec3A::from_array(c) * shade).min(Vec3A::splat(0.80)));
+        let colors = paint
+            .colors()
+            .map(|c| (Vec3A::from_array(c) * shade).min(Vec3A::splat(0.80)));
         let mesh = body::build(&shape);
         Self::place(shape, colors, rng.random(), &mesh, at, heading)
     }
@@ -353,12 +291,12 @@ mod tests {
     #[test]
     fn every_style_fills_a_box_of_about_its_size_around_its_centre() {
         let mut rng = Pcg64::seed_from_u64(5);
-        for number in 0..7 {
+        for number in 0..11 {
             let vehicle = Vehicle::draw(number, Wardrobe::ALL, [3.0, -2.0], 0.7, &mut rng);
             let [length, width, height] = vehicle.size_m;
-            assert!((3.7..5.7).contains(&length), "{length}");
-            assert!((1.6..2.4).contains(&width), "{width}");
-            assert!((1.1..2.3).contains(&height), "{height}");
+            assert!((3.3..6.3).contains(&length), "{length}");
+            assert!((1.5..2.5).contains(&width), "{width}");
+            assert!((1.1..2.9).contains(&height), "{height}");
             let reach = vehicle.radius_sphere_m();
             for vertex in vehicle.triangles.iter().flat_map(|t| t.vertices) {
                 let apart: f64 = (0..3)
@@ -373,7 +311,7 @@ mod tests {
     #[test]
     fn neighbouring_vehicles_differ_in_style_and_paint() {
         let mut rng = Pcg64::seed_from_u64(5);
-        let vehicles: Vec<Vehicle> = (0..7)
+        let vehicles: Vec<Vehicle> = (0..11)
             .map(|n| Vehicle::draw(n, Wardrobe::ALL, [0.0, 0.0], 0.0, &mut rng))
             .collect();
         for pair in vehicles.windows(2) {
