@@ -56,6 +56,26 @@ pub fn annotate_pair(left: &RgbImage, right: &RgbImage, annotations: &[Annotatio
     canvas
 }
 
+/// Writes a line of text, its upper left corner at a pixel; letters are `8 * scale` pixels high.
+/// What reaches out of the image is cut off.
+pub(crate) fn write_text(
+    canvas: &mut RgbImage,
+    [x, y]: [i64; 2],
+    text: &str,
+    scale: u32,
+    ink: Rgb<u8>,
+) {
+    let (width, height) = canvas.dimensions();
+    let scale = i64::from(scale);
+    let mut pen = Pen {
+        letter_scale: scale,
+        ..Pen::new(canvas, 0, width, height)
+    };
+    for (i, letter) in (0i64..).zip(text.chars()) {
+        pen.letter(letter, [x + i * LETTER * scale, y], ink);
+    }
+}
+
 /// Which of the two images is being drawn on.
 #[derive(Clone, Copy)]
 enum Side {

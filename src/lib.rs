@@ -24,7 +24,7 @@
 //! ```
 //!
 //! [`world`] and [`render`] build and draw scenes, [`generate`](mod@generate) turns them into a
-//! dataset, [`dataset`] reads any dataset of that format, [`train`] trains both networks on it, and
+//! dataset, [`formats`] brings foreign datasets into that format and out of it, [`dataset`] reads it, [`train`] trains both networks on it, and
 //! [`evaluate`] says how good they are with [`metrics`].
 //!
 //! # Invariants
@@ -66,9 +66,11 @@ pub mod device;
 pub mod error;
 pub mod evaluate;
 pub mod files;
+pub mod formats;
 pub mod generate;
 pub mod geometry;
 pub mod imaging;
+pub mod inspect;
 pub mod kernels;
 pub mod metrics;
 pub mod nn;
@@ -78,6 +80,7 @@ pub mod progress;
 pub mod ranging;
 pub mod render;
 pub mod train;
+pub mod validate;
 pub mod weights;
 pub mod world;
 

@@ -1,6 +1,6 @@
 //! The program `twinsight`: reads the command line, runs one command, turns errors into exit codes.
 //!
-//! 0: done. 2: an error, named in one line on standard error. 130: stopped by Ctrl-C.
+//! 0: done. 1: `validate` found something. 2: an error, named in one line on standard error. 130: stopped by Ctrl-C.
 
 mod cli;
 
@@ -56,15 +56,15 @@ fn parse_and_run() -> ExitCode {
         Ok(cli) => exit_code(cli.run()),
         Err(message) => match cli::stdout::unless_closed(message.print()) {
             Ok(()) => ExitCode::from(u8::try_from(message.exit_code()).unwrap_or(FAILED)),
-            failed => exit_code(failed),
+            Err(error) => exit_code(Err(error)),
         },
     }
 }
 
 /// Prints an error, once.
-fn exit_code(outcome: Result<()>) -> ExitCode {
+fn exit_code(outcome: Result<ExitCode>) -> ExitCode {
     match outcome {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error @ Error::Interrupted { .. }) => {
             stderr::line(&error.to_string());
             ExitCode::from(INTERRUPTED)

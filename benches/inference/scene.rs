@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use twinsight::detector::Detection;
 use twinsight::geometry::{PixelBox, StereoRig};
 use twinsight::render::{Conditions, Eye, RenderSettings, RigPose, Stage, render};
-use twinsight::world::{Scene, Sun, Wardrobe};
+use twinsight::world::{Scene, Sun};
 use twinsight::{Error, Result};
 
 const SEED: u64 = 1;
@@ -33,12 +33,12 @@ pub fn rig([width, height]: [u32; 2]) -> Result<StereoRig> {
 
 /// A city with one vehicle.
 pub fn stage() -> Stage {
-    Stage::new(Scene::draw(SEED, 0, REACH_M, Wardrobe::ALL))
+    Stage::new(Scene::draw(SEED, 0, REACH_M))
 }
 
 /// A view from behind the vehicle, above the road, from this distance.
 pub fn view(stage: &Stage, distance_m: f64) -> Result<RigPose> {
-    let vehicle = &stage.scene().vehicle;
+    let vehicle = stage.scene().target();
     let [forward_x, forward_y, _] = vehicle.forward_world;
     let [x, y, z] = vehicle.center_world;
     let (back_m, up_m) = (

@@ -5,8 +5,11 @@
 
 mod devices;
 mod evaluate;
+mod export;
 mod files;
 mod generate;
+mod import;
+mod inspect;
 mod predict;
 mod prepare;
 mod presets;
@@ -14,7 +17,10 @@ pub mod stderr;
 pub mod stdout;
 mod terminal;
 mod train;
+mod validate;
 mod values;
+
+use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use twinsight::Result;
@@ -48,6 +54,10 @@ Examples:
 #[derive(Debug, Subcommand)]
 enum Command {
     Generate(generate::GenerateArgs),
+    Import(import::ImportArgs),
+    Export(export::ExportArgs),
+    Validate(validate::ValidateArgs),
+    Inspect(inspect::InspectArgs),
     Prepare(prepare::PrepareArgs),
     Train(Box<train::TrainArgs>),
     Evaluate(evaluate::EvaluateArgs),
@@ -56,16 +66,21 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command.
-    pub fn run(&self) -> Result<()> {
-        match &self.command {
+    /// Runs the command; the exit code is not success where a command found something.
+    pub fn run(&self) -> Result<ExitCode> {
+        let done = match &self.command {
             Command::Generate(args) => args.run(self.quiet),
+            Command::Import(args) => args.run(self.quiet),
+            Command::Export(args) => args.run(self.quiet),
+            Command::Validate(args) => return args.run(self.quiet),
+            Command::Inspect(args) => args.run(self.quiet),
             Command::Prepare(args) => args.run(self.quiet),
             Command::Train(args) => args.run(self.quiet),
             Command::Evaluate(args) => args.run(self.quiet),
             Command::Predict(args) => args.run(),
             Command::Devices(_) => devices::DevicesArgs::run(),
-        }
+        };
+        done.map(|()| ExitCode::SUCCESS)
     }
 }
 

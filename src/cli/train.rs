@@ -368,7 +368,7 @@ fn first_validation_pair(config: &TrainConfig, data: &Path) -> Option<[PathBuf; 
         dataset.resplit(by, config.seed).ok()?;
     }
     let frame = *dataset.split(Split::Val).first()?;
-    Some([frame.left.path.clone(), frame.right.path.clone()])
+    Some([frame.left.path.clone(), frame.right.as_ref()?.path.clone()])
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use twinsight::dataset::{BoxKind, Split};
+use twinsight::dataset::{BoxKind, Split, StereoDataset};
 use twinsight::pairing::PairingMode;
 
 /// An image size, `WIDTHxHEIGHT`.
@@ -41,6 +41,15 @@ pub fn share(text: &str) -> Result<f32, String> {
 /// `sphere` or `tight`.
 pub fn box_kind() -> impl TypedValueParser<Value = BoxKind> {
     PossibleValuesParser::new(["sphere", "tight"]).try_map(|word| word.parse::<BoxKind>())
+}
+
+/// The kind of box that people look at: the exact one where the dataset has it.
+pub fn shown_kind(dataset: &StereoDataset) -> BoxKind {
+    if dataset.info.label_kinds.contains(&BoxKind::Tight) {
+        BoxKind::Tight
+    } else {
+        BoxKind::Sphere
+    }
 }
 
 /// The splits that networks are judged by: `val` or `test`.

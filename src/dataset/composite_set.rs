@@ -36,7 +36,7 @@ impl SplitCounts {
         }
     }
 
-    pub(super) fn of_mut(&mut self, split: Split) -> &mut u64 {
+    pub(crate) fn of_mut(&mut self, split: Split) -> &mut u64 {
         match split {
             Split::Train => &mut self.train,
             Split::Val => &mut self.val,

@@ -75,12 +75,14 @@ pub struct Label {
     pub box_pixel: PixelBox,
     /// The vehicle's projected centre, pixels.
     pub center_pixel: [f64; 2],
-    /// Rig midpoint to the vehicle's box centre, metres.
-    pub distance_m: f64,
+    /// Rig midpoint to the vehicle's box centre, metres; unknown in data for detectors alone.
+    pub distance_m: Option<f64>,
     /// The kind of box.
     pub kind: BoxKind,
-    /// Fraction of the silhouette that is not hidden, 0 to 1.
+    /// Fraction of the silhouette that is inside the image and not hidden, 0 to 1.
     pub visible: Option<f64>,
+    /// Neither to be learnt nor to be judged: to find it is no error, nor to miss it.
+    pub ignored: bool,
 }
 
 /// `dataset.toml`.
@@ -93,9 +95,76 @@ pub struct DatasetInfo {
     pub classes: Vec<String>,
     /// Kinds of label that every frame has.
     pub label_kinds: Vec<BoxKind>,
+    /// Whether every frame has a right image. A dataset of single images trains and judges
+    /// detectors; its rig says no more than the size of the images unless it says more.
+    #[serde(default = "yes", skip_serializing_if = "is_yes")]
+    pub stereo: bool,
     /// The two cameras.
     pub rig: StereoRig,
     /// How it was made: seed, settings, program version.
     #[serde(default)]
     pub made_by: toml::Table,
 }
+
+/// What `stereo` is where `dataset.toml` does not say.
+const fn yes() -> bool {
+    true
+}
+
+#[allow(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde hands a reference to it"
+)]
+const fn is_yes(stereo: &bool) -> bool {
+    *stereo
+}
+
+impl DatasetInfo {
+    /// Reads the text of a `dataset.toml`.
+    ///
+    /// # Errors
+    /// What the TOML reader says of it. The version is not looked at.
+    pub fn from_toml(text: &str) -> Result<Self, toml::de::Error> {
+        let mut table: toml::Table = text.parse()?;
+        let single = table.get("stereo").and_then(toml::Value::as_bool) == Some(false);
+        match table.get_mut("rig") {
+            Some(toml::Value::Table(rig)) if single && !rig.contains_key("baseline_m") => {
+                rig.insert("baseline_m".to_owned(), PLACEHOLDER_BASELINE_M.into());
+                if !rig.contains_key("hfov_deg") && !rig.contains_key("left") {
+                    rig.insert("hfov_deg".to_owned(), PLACEHOLDER_HFOV_DEG.into());
+                }
+                table.try_into()
+            }
+            // From the text and not from the table: errors then know their line.
+            _ => toml::from_str(text),
+        }
+    }
+
+    /// The text of a `dataset.toml`. The cameras of single images are left out: nobody knows them.
+    ///
+    /// # Errors
+    /// What the TOML writer says, such as an unwritable value in [`made_by`](Self::made_by).
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        let mut table = toml::Table::try_from(self)?;
+        if !self.stereo
+            && let Some(toml::Value::Table(rig)) = table.get_mut("rig")
+        {
+            rig.retain(|key, _| key == "width" || key == "height");
+        }
+        toml::to_string(&table)
+    }
+
+    /// The rig of single images of this size: cameras that only their size is known of.
+    ///
+    /// # Errors
+    /// A size that no camera can have.
+    pub fn single_image_rig(width: u32, height: u32) -> crate::Result<StereoRig> {
+        StereoRig::from_hfov(width, height, PLACEHOLDER_HFOV_DEG, PLACEHOLDER_BASELINE_M)
+    }
+}
+
+/// Stands in for what is unknown of the rig of single images; nothing is computed from it.
+const PLACEHOLDER_HFOV_DEG: f64 = 90.0;
+
+/// See [`PLACEHOLDER_HFOV_DEG`].
+const PLACEHOLDER_BASELINE_M: f64 = 1.0;

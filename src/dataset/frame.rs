@@ -32,6 +32,16 @@ impl Side {
     }
 }
 
+impl StereoRig {
+    /// The camera of one side.
+    pub const fn camera(&self, side: Side) -> &Camera {
+        match side {
+            Side::Left => &self.left,
+            Side::Right => &self.right,
+        }
+    }
+}
+
 impl fmt::Display for Side {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.word())
@@ -53,14 +63,29 @@ impl FrameImage {
         self.labels.iter().filter(move |label| label.kind == kind)
     }
 
-    /// Class and box of each label of one kind, clipped to the image: what a detector is trained
-    /// to find.
+    /// Class and box of each label of one kind that is not ignored, clipped to the image: what a
+    /// detector is trained to find.
     pub fn boxes(&self, kind: BoxKind, camera: &Camera) -> Vec<(u32, PixelBox)> {
+        self.clipped(kind, camera)
+            .filter(|(label, _)| !label.ignored)
+            .map(|(label, area)| (label.class, area))
+            .collect()
+    }
+
+    /// The boxes of the ignored labels of one kind, clipped to the image: what a detector may find
+    /// or not.
+    pub fn ignored_boxes(&self, kind: BoxKind, camera: &Camera) -> Vec<PixelBox> {
+        self.clipped(kind, camera)
+            .filter(|(label, _)| label.ignored)
+            .map(|(_, area)| area)
+            .collect()
+    }
+
+    fn clipped(&self, kind: BoxKind, camera: &Camera) -> impl Iterator<Item = (&Label, PixelBox)> {
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
         self.labels_of(kind)
-            .map(|label| (label.class, label.box_pixel.clipped(width, height)))
+            .map(move |label| (label, label.box_pixel.clipped(width, height)))
             .filter(|(_, area)| area.is_valid())
-            .collect()
     }
 
     /// Decodes the image.
@@ -108,8 +133,8 @@ pub struct Frame {
     pub row: FrameRow,
     /// The left image.
     pub left: FrameImage,
-    /// The right image.
-    pub right: FrameImage,
+    /// The right image; none in a dataset of single images.
+    pub right: Option<FrameImage>,
 }
 
 impl Frame {
@@ -118,32 +143,32 @@ impl Frame {
         stamp_name(self.row.stamp)
     }
 
-    /// One of the two images.
-    pub fn side(&self, side: Side) -> &FrameImage {
-        match side {
-            Side::Left => &self.left,
-            Side::Right => &self.right,
-        }
+    /// The images that there are, left first.
+    pub fn images(&self) -> impl Iterator<Item = (Side, &FrameImage)> {
+        let right = self.right.iter().map(|image| (Side::Right, image));
+        std::iter::once((Side::Left, &self.left)).chain(right)
     }
 
-    /// The vehicles that have a label of this kind in both images, by id.
+    /// The vehicles that have a label of this kind in both images and a known distance, and are
+    /// ignored in neither, by id.
     ///
     /// A vehicle that only one camera sees is no stereo pair and does not appear.
     pub fn vehicles(&self, kind: BoxKind) -> Vec<StereoLabel> {
         let mut vehicles: Vec<_> = self
             .left
             .labels_of(kind)
+            .filter(|left| !left.ignored)
             .filter_map(|left| {
-                let right = self
-                    .right
+                let right = self.right.as_ref()?;
+                let right = right
                     .labels_of(kind)
-                    .find(|right| right.id == left.id)?;
+                    .find(|right| right.id == left.id && !right.ignored)?;
                 Some(StereoLabel {
                     id: left.id,
                     class: left.class,
                     left: left.clone(),
                     right: right.clone(),
-                    distance_m: left.distance_m,
+                    distance_m: left.distance_m?,
                 })
             })
             .collect();
@@ -151,12 +176,33 @@ impl Frame {
         vehicles
     }
 
+    /// The boxes in one image of the vehicles that [`Frame::vehicles`] leaves out: ignored in
+    /// either image, or seen by one camera only. To find such a vehicle is no error, nor is it one
+    /// to miss it.
+    pub fn unjudged_boxes(&self, kind: BoxKind, side: Side) -> Vec<PixelBox> {
+        let judged = self.vehicles(kind);
+        self.images()
+            .filter(|(of, _)| *of == side)
+            .flat_map(|(_, image)| image.labels_of(kind))
+            .filter(|label| judged.iter().all(|vehicle| vehicle.id != label.id))
+            .map(|label| label.box_pixel)
+            .collect()
+    }
+
     /// Decodes both images, left first.
     ///
     /// # Errors
-    /// Those of [`imaging::load_pair`], and a size that is not the rig's.
+    /// Those of [`imaging::load_rgb`], a size that is not the rig's, and a frame without a right
+    /// image.
     pub fn load(&self, rig: &StereoRig) -> Result<[RgbImage; 2]> {
-        Ok([self.left.load(&rig.left)?, self.right.load(&rig.right)?])
+        let Some(right) = &self.right else {
+            return Err(Error::image(
+                &self.left.path,
+                "has no right image beside it",
+                "give a dataset of stereo pairs",
+            ));
+        };
+        Ok([self.left.load(&rig.left)?, right.load(&rig.right)?])
     }
 }
 
@@ -179,7 +225,7 @@ impl Problem {
     }
 
     /// The first few problems in one line, for an error that has to explain itself.
-    pub(super) fn summary(problems: &[Self]) -> String {
+    pub(crate) fn summary(problems: &[Self]) -> String {
         const SHOWN: usize = 3;
         let mut parts: Vec<_> = problems
             .iter()

@@ -25,7 +25,13 @@ pub const FRAMES_HEADER: [&str; 8] = [
 
 /// First line of the label files that this crate writes.
 pub const LABEL_HEADER: &str =
-    "# id class x_min y_min x_max y_max center_x center_y distance_m kind visible\n";
+    "# id class x_min y_min x_max y_max center_x center_y distance_m kind visible ignored\n";
+
+/// Last word of a label line that is neither learnt from nor judged.
+const IGNORED: &str = "ignored";
+
+/// Stands in a label line for a distance that nobody knows.
+const UNKNOWN: &str = "-";
 
 /// A stamp as it stands in file names: at least five digits, `00042`.
 pub fn stamp_name(stamp: u64) -> String {
@@ -37,7 +43,7 @@ pub fn stamp_name(stamp: u64) -> String {
 const DECIMALS_SCALE: f64 = 1e4;
 
 /// The shortest text of a number rounded to four decimals; integers have no decimal point.
-fn short(value: f64) -> f64 {
+pub(super) fn short(value: f64) -> f64 {
     // The sum turns -0 into 0.
     (value * DECIMALS_SCALE).round() / DECIMALS_SCALE + 0.0
 }
@@ -56,21 +62,21 @@ impl Label {
         } = self.box_pixel;
         let mut line = format!("{} {}", self.id, self.class);
         let [center_x, center_y] = self.center_pixel;
-        for value in [
-            x_min,
-            y_min,
-            x_max,
-            y_max,
-            center_x,
-            center_y,
-            self.distance_m,
-        ] {
+        for value in [x_min, y_min, x_max, y_max, center_x, center_y] {
             // Writing to a String cannot fail.
             write!(line, " {}", short(value)).ok();
         }
+        match self.distance_m {
+            Some(distance_m) => write!(line, " {}", short(distance_m)).ok(),
+            None => write!(line, " {UNKNOWN}").ok(),
+        };
         write!(line, " {}", self.kind).ok();
         if let Some(visible) = self.visible {
             write!(line, " {}", short(visible)).ok();
+        }
+        if self.ignored {
+            line.push(' ');
+            line.push_str(IGNORED);
         }
         line
     }
@@ -98,14 +104,23 @@ impl Label {
             field(&mut fields, "center_x")?,
             field(&mut fields, "center_y")?,
         ];
-        let distance_m = field(&mut fields, "distance_m")?;
+        let distance_m = if fields.clone().next() == Some(UNKNOWN) {
+            fields.next();
+            None
+        } else {
+            Some(field(&mut fields, "distance_m")?)
+        };
         let kind = field(&mut fields, "kind")?;
         let visible = match fields.clone().next() {
+            None | Some(IGNORED) => None,
             Some(_) => Some(field(&mut fields, "visible")?),
-            None => None,
         };
-        if let Some(surplus) = fields.next() {
-            return Err(format!("a surplus field '{surplus}' after 'visible'"));
+        let ignored = fields.clone().next() == Some(IGNORED);
+        if let Some(surplus) = fields.nth(usize::from(ignored)) {
+            return Err(format!(
+                "a surplus field '{surplus}' at the end: after 'kind' may stand the visible \
+                 fraction and the word '{IGNORED}'"
+            ));
         }
         let label = Self {
             id,
@@ -115,6 +130,7 @@ impl Label {
             distance_m,
             kind,
             visible,
+            ignored,
         };
         label.check()?;
         Ok(Some(label))
@@ -149,11 +165,10 @@ impl Label {
                 "vehicle {id}: the box {x_min} {y_min} {x_max} {y_max} is empty or inverted"
             ));
         }
-        if !(self.distance_m.is_finite() && self.distance_m > 0.0) {
-            return Err(format!(
-                "vehicle {id}: the distance is {} m",
-                self.distance_m
-            ));
+        if let Some(distance_m) = self.distance_m
+            && !(distance_m.is_finite() && distance_m > 0.0)
+        {
+            return Err(format!("vehicle {id}: the distance is {distance_m} m"));
         }
         match self.visible {
             Some(visible) if !(0.0..=1.0).contains(&visible) => Err(format!(

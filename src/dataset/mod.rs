@@ -7,10 +7,11 @@
 mod composite;
 mod composite_set;
 #[cfg(test)]
-mod fixture;
+pub(crate) mod fixture;
 mod format;
 mod frame;
 mod lines;
+mod objects;
 mod prepare;
 mod reader;
 mod resplit;
@@ -24,7 +25,9 @@ pub use lines::{
     FRAMES_HEADER, LABEL_HEADER, frames_csv_text, label_file_text, read_frames_csv, stamp_name,
     write_frames_csv,
 };
+pub use objects::{ObjectRow, objects_csv_text, read_objects_csv, write_objects_csv};
 pub use prepare::{PrepareReport, is_prepared, prepare};
 pub use reader::StereoDataset;
 pub use resplit::SplitBy;
+pub(crate) use resplit::choose_validation;
 pub use source::{DetectionItem, DetectionSource, RangingItem, RangingSource};

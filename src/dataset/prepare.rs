@@ -263,7 +263,7 @@ fn fingerprint(dataset: &StereoDataset, kind: BoxKind) -> String {
     add(&format!("{}x{}", camera.width, camera.height));
     for frame in &dataset.frames {
         add(&format!("{} {}", frame.name(), frame.row.split));
-        for image in [&frame.left, &frame.right] {
+        for (_, image) in frame.images() {
             let length = fs::metadata(&image.path).map_or(0, |metadata| metadata.len());
             add(&length.to_string());
             for label in image.labels_of(kind) {

@@ -148,8 +148,8 @@ impl StereoDataset {
                     return None;
                 }
                 let outcome = frame
-                    .load(&rig)
-                    .map(|_| ())
+                    .images()
+                    .try_for_each(|(side, image)| image.load(rig.camera(side)).map(|_| ()))
                     .map_err(|error| error.to_string());
                 progress.advance(1);
                 Some(outcome)
@@ -232,7 +232,7 @@ fn read_info(folder: &Path) -> Result<DatasetInfo> {
             ));
         }
     }
-    let info: DatasetInfo = toml::from_str(&text).map_err(|error| unreadable(&error))?;
+    let info = DatasetInfo::from_toml(&text).map_err(|error| unreadable(&error))?;
     for (empty, key) in [
         (info.classes.is_empty(), "classes"),
         (info.label_kinds.is_empty(), "label_kinds"),
@@ -312,9 +312,15 @@ fn read_frame(row: FrameRow, files: &FrameFiles, info: &DatasetInfo) -> Result<F
         read_side(side, files.get(&(row.stamp, side)), info)
             .map_err(|mut found| reasons.append(&mut found))
     };
-    let sides = (side(Side::Left), side(Side::Right));
-    if let (Ok(left), Ok(right)) = sides {
-        reasons.extend(contradictions(&left.labels, &right.labels));
+    let left = side(Side::Left);
+    let right = if info.stereo {
+        side(Side::Right).map(Some)
+    } else {
+        Ok(None)
+    };
+    if let (Ok(left), Ok(right)) = (left, right) {
+        let right_labels = right.as_ref().map_or(&[][..], |right| &right.labels);
+        reasons.extend(contradictions(&left.labels, right_labels));
         if reasons.is_empty() {
             return Ok(Frame { row, left, right });
         }
@@ -423,10 +429,11 @@ fn contradictions(left: &[Label], right: &[Label]) -> Vec<String> {
                 known.class, label.class
             ));
         }
-        if (known.distance_m - label.distance_m).abs() > DISTANCE_TOLERANCE_M {
+        if let (Some(one_m), Some(other_m)) = (known.distance_m, label.distance_m)
+            && (one_m - other_m).abs() > DISTANCE_TOLERANCE_M
+        {
             reasons.push(format!(
-                "vehicle {id} has distances {} m and {} m",
-                known.distance_m, label.distance_m
+                "vehicle {id} has distances {one_m} m and {other_m} m"
             ));
         }
     }

@@ -59,7 +59,7 @@ impl StereoDataset {
         let indices: Vec<usize> = (0..self.frames.len())
             .filter(|index| self.frames[*index].row.split != Split::Test)
             .collect();
-        let mut groups = match by {
+        let groups = match by {
             SplitBy::Scene => scenes(&self.frames, &indices)?,
             SplitBy::Frame => near_duplicates(&self.frames, &indices),
         };
@@ -74,20 +74,7 @@ impl StereoDataset {
                 "use more frames or scenes, or split by frame",
             ));
         }
-        // Random keys and a sort: unlike a library's shuffle, this order never changes.
-        let mut rng = Pcg64::seed_from_u64(seed);
-        groups.sort_by_cached_key(|group| (rng.next_u64(), group.first().copied()));
-        let target = VALIDATION_PART * indices.len() as f64;
-        let mut validation: Vec<usize> = Vec::new();
-        for (place, group) in groups.iter().enumerate() {
-            let missing = target - validation.len() as f64;
-            // A group goes to validation if that brings the part closer to its target; the last
-            // one must, if no other did.
-            let closer = (missing - group.len() as f64).abs() < missing.abs();
-            if closer || (validation.is_empty() && place + 1 == groups.len()) {
-                validation.extend(group);
-            }
-        }
+        let validation = choose_validation(groups, VALIDATION_PART, seed);
         for index in indices {
             self.frames[index].row.split = Split::Train;
         }
@@ -96,6 +83,27 @@ impl StereoDataset {
         }
         Ok(())
     }
+}
+
+/// Chooses groups at random by `seed` so that their frames come as close to this part of all as
+/// whole groups allow; at least one group is chosen.
+pub(crate) fn choose_validation(mut groups: Vec<Vec<usize>>, part: f64, seed: u64) -> Vec<usize> {
+    // Random keys and a sort: unlike a library's shuffle, this order never changes.
+    let mut rng = Pcg64::seed_from_u64(seed);
+    groups.sort_by_cached_key(|group| (rng.next_u64(), group.first().copied()));
+    let frames: usize = groups.iter().map(Vec::len).sum();
+    let target = part * frames as f64;
+    let mut validation: Vec<usize> = Vec::new();
+    for (place, group) in groups.iter().enumerate() {
+        let missing = target - validation.len() as f64;
+        // A group goes to validation if that brings the part closer to its target; the last one
+        // must, if no other did.
+        let closer = (missing - group.len() as f64).abs() < missing.abs();
+        if closer || (validation.is_empty() && place + 1 == groups.len()) {
+            validation.extend(group);
+        }
+    }
+    validation
 }
 
 /// The frames of each scene.

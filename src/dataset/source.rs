@@ -65,6 +65,8 @@ pub struct DetectionItem {
     pub image: Arc<RgbImage>,
     /// Class and box, pixels of the full image, clipped to it.
     pub boxes: Vec<(u32, PixelBox)>,
+    /// Boxes of vehicles that may be found or not, pixels of the full image, clipped to it.
+    pub ignored: Vec<PixelBox>,
     /// The image file.
     pub path: PathBuf,
     /// The frame's stamp.
@@ -73,7 +75,7 @@ pub struct DetectionItem {
     pub side: Side,
 }
 
-/// Both images of every frame of a split, for the detector: left and right of a frame in turn.
+/// All images of every frame of a split, for the detector: left and right of a frame in turn.
 #[derive(Debug)]
 pub struct DetectionSource {
     entries: Vec<DetectionEntry>,
@@ -87,6 +89,7 @@ struct DetectionEntry {
     stamp: u64,
     side: Side,
     boxes: Vec<(u32, PixelBox)>,
+    ignored: Vec<PixelBox>,
 }
 
 impl DetectionSource {
@@ -97,15 +100,16 @@ impl DetectionSource {
         let entries = dataset
             .split(split)
             .into_iter()
-            .flat_map(|frame| Side::ALL.map(|side| (frame, side)))
-            .map(|(frame, side)| {
-                let camera = match side {
-                    Side::Left => rig.left,
-                    Side::Right => rig.right,
-                };
-                let image = frame.side(side);
+            .flat_map(|frame| {
+                frame
+                    .images()
+                    .map(move |(side, image)| (frame, side, image))
+            })
+            .map(|(frame, side, image)| {
+                let camera = *rig.camera(side);
                 DetectionEntry {
                     boxes: image.boxes(kind, &camera),
+                    ignored: image.ignored_boxes(kind, &camera),
                     image: image.clone(),
                     camera,
                     stamp: frame.row.stamp,
@@ -130,6 +134,7 @@ impl Dataset<DetectionItem> for DetectionSource {
         Ok(DetectionItem {
             image,
             boxes: entry.boxes.clone(),
+            ignored: entry.ignored.clone(),
             path: entry.image.path.clone(),
             stamp: entry.stamp,
             side: entry.side,

@@ -7,9 +7,11 @@
 
 mod boxes;
 mod camera;
+mod cuboid;
 pub mod letterbox;
 mod sphere;
 
 pub use boxes::PixelBox;
 pub use camera::{Camera, Intrinsics, RigSettings, StereoRig};
+pub use cuboid::Cuboid;
 pub use sphere::{SphereTarget, sphere_box};

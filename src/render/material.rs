@@ -7,7 +7,7 @@ use crate::world::facade::{Sight, shop_color};
 use crate::world::mesh::{Surface, Triangle, VehiclePart};
 use crate::world::noise::{self, fractal, mix, smooth_step, stripes};
 use crate::world::tree::leaf_openness;
-use crate::world::{ground, livery};
+use crate::world::{Vehicle, ground, livery};
 
 /// Key of the sky and the ground among the faces of triangles.
 pub(super) const SKY_FACE: u32 = 0;
@@ -91,15 +91,15 @@ pub(super) fn point(stage: &Stage, gaze: &Gaze, hit: &Hit) -> (Point, u32) {
     }
     let normal = toward(smooth_normal(triangle, at), gaze.direction);
     let footprint_m = width_m * stretch(normal.dot(gaze.direction).abs());
-    let point = surface(stage, gaze, triangle.surface, at, normal, footprint_m);
     let face = triangle.face + GROUND_FACE;
+    if let Object::Vehicle(index) = hit.object {
+        let vehicle = &stage.scene.vehicles[usize::from(index)];
+        let point = vehicle_point(vehicle, triangle.surface, at, normal, footprint_m);
+        return (point, (face ^ (u32::from(index) << 16)) | VEHICLE_FACES);
+    }
     (
-        point,
-        if hit.object == Object::Vehicle {
-            face | VEHICLE_FACES
-        } else {
-            face
-        },
+        surface(stage, gaze, triangle.surface, at, normal, footprint_m),
+        face,
     )
 }
 
@@ -150,17 +150,28 @@ fn wet(point: &mut Point, wetness: f32, footprint_m: f32, seed: u32) {
     }
 }
 
-/// Share of the sky that the ground sees beside and under the vehicle.
+/// Share of the sky that the ground sees beside and under the vehicles.
 fn vehicle_shade(stage: &Stage, at: Vec3A) -> f32 {
-    let vehicle = &stage.scene.vehicle;
-    let [length, width, _] = vehicle.size_m.map(|v| v as f32 * 0.5);
-    let local = vehicle.vehicle_from_world(at);
-    let [dx, dy] = [
-        (local.x.abs() - length * 0.93).max(0.0),
-        (local.y.abs() - width * 0.80).max(0.0),
-    ];
-    let apart = (dx * dx + dy * dy).sqrt();
-    mix(0.10, 1.0, (apart / (apart + 0.28)).min(1.0))
+    /// Further away a vehicle hides too little of the sky to count, metres.
+    const REACH_M: f32 = 6.0;
+    let shade = |vehicle: &Vehicle| {
+        let [x, y, _] = vehicle.center_world.map(|v| v as f32);
+        if (at.x - x).abs() > REACH_M || (at.y - y).abs() > REACH_M {
+            return 1.0;
+        }
+        let [length, width, _] = vehicle.size_m.map(|v| v as f32 * 0.5);
+        let local = vehicle.vehicle_from_world(at);
+        let [dx, dy] = [
+            (local.x.abs() - length * 0.93).max(0.0),
+            (local.y.abs() - width * 0.80).max(0.0),
+        ];
+        let apart = (dx * dx + dy * dy).sqrt();
+        let open = mix(0.10, 1.0, (apart / (apart + 0.28)).min(1.0));
+        // Gone at the reach, so that no edge shows there.
+        let far = (at.x - x).abs().max((at.y - y).abs()) / REACH_M;
+        mix(open, 1.0, far * far * far * far)
+    };
+    stage.scene.vehicles.iter().map(shade).product()
 }
 
 fn plant_point(
@@ -282,26 +293,37 @@ fn surface(
         Surface::Painted(index) => painted(index, at, normal, footprint_m),
         Surface::Sign => sign(at, normal),
         Surface::Signal(lit) => signal(at, normal, lit),
-        Surface::Vehicle(part) => {
-            let vehicle = &scene.vehicle;
-            let local = vehicle.vehicle_from_world(at);
-            let local_normal = vehicle.vehicle_direction_from_world(normal);
-            let finish = livery::finish(vehicle, part, local, local_normal, footprint_m);
-            let low = if part == VehiclePart::Wheel {
-                0.25
-            } else {
-                0.40
-            };
-            Point {
-                mirror: finish.mirror,
-                gloss: if finish.mirror > 0.0 { 1.0 } else { 0.0 },
-                flakes: finish.flakes,
-                open: finish.open * mix(low, 1.0, smooth_step(0.0, 0.9, at.z)),
-                sun: finish.sun,
-                glow: finish.glow,
-                ..matt(finish.albedo)
-            }
-        }
+        // Vehicles have a function of their own.
+        Surface::Vehicle(_) => matt(Vec3A::splat(0.1)),
+    }
+}
+
+fn vehicle_point(
+    vehicle: &Vehicle,
+    surface: Surface,
+    at: Vec3A,
+    normal: Vec3A,
+    footprint_m: f32,
+) -> Point {
+    let Surface::Vehicle(part) = surface else {
+        return Point::matt(at, normal, Vec3A::splat(0.1));
+    };
+    let local = vehicle.vehicle_from_world(at);
+    let local_normal = vehicle.vehicle_direction_from_world(normal);
+    let finish = livery::finish(vehicle, part, local, local_normal, footprint_m);
+    let low = if part == VehiclePart::Wheel {
+        0.25
+    } else {
+        0.40
+    };
+    Point {
+        mirror: finish.mirror,
+        gloss: if finish.mirror > 0.0 { 1.0 } else { 0.0 },
+        flakes: finish.flakes,
+        open: finish.open * mix(low, 1.0, smooth_step(0.0, 0.9, at.z)),
+        sun: finish.sun,
+        glow: finish.glow,
+        ..Point::matt(at, normal, finish.albedo)
     }
 }
 

@@ -78,6 +78,7 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
     if let Some(split) = request.config.split {
         dataset.resplit(split, request.config.seed)?;
     }
+    refuse_unlearnable(request, &dataset)?;
     dataset.check_images(progress)?;
     for problem in &dataset.problems {
         progress.note(&format!("left out: {problem}"));
@@ -141,6 +142,28 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
     }
     write_json(&request.run.join("summary.json"), &summary)?;
     Ok(summary)
+}
+
+/// Refuses, before hours of training, a dataset without the labels that a stage learns from.
+fn refuse_unlearnable(request: &TrainRequest, dataset: &StereoDataset) -> Result<()> {
+    let kind = request.config.box_kind;
+    if !dataset.info.label_kinds.contains(&kind) {
+        let kinds = dataset.info.label_kinds.iter().map(ToString::to_string);
+        let kinds: Vec<_> = kinds.collect();
+        return Err(Error::dataset(
+            &dataset.folder,
+            format!("has no {kind} boxes, only {}", kinds.join(" and ")),
+            format!("train with `--box-kind {}`", kinds.join("` or `")),
+        ));
+    }
+    if request.stage != Stage::Detector && !dataset.info.stereo {
+        return Err(Error::dataset(
+            &dataset.folder,
+            "has single images (stereo = false), which show no distance",
+            "train the detector alone on it: `twinsight train detector`",
+        ));
+    }
+    Ok(())
 }
 
 fn announce<R: Recipe>(recipe: &R, progress: &dyn Progress) {

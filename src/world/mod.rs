@@ -1,6 +1,6 @@
 //! The procedural world: cities, vehicles and the sun, made from a seed without any asset files.
 //!
-//! A [`Scene`] is a triangle mesh with procedural colours around one [`Vehicle`]; `render` turns it
+//! A [`Scene`] is a triangle mesh with procedural colours around a [`Vehicle`], among others or alone; `render` turns it
 //! into stereo pairs. Everything here is a function of the seed: random numbers come from PCG, sine
 //! and power from `libm`, so a scene is the same to the last bit on every machine.
 //!
@@ -18,6 +18,7 @@ mod paint;
 mod scene;
 pub(crate) mod sky;
 mod sun;
+mod traffic;
 pub(crate) mod tree;
 mod vehicle;
 

@@ -59,6 +59,23 @@ impl BodyStyle {
     pub(crate) const fn is_boxy(self) -> bool {
         matches!(self, Self::Van | Self::Minibus | Self::Truck)
     }
+
+    /// Its name in files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sedan => "sedan",
+            Self::Hatchback => "hatchback",
+            Self::Estate => "estate",
+            Self::Suv => "suv",
+            Self::Van => "van",
+            Self::Pickup => "pickup",
+            Self::Coupe => "coupe",
+            Self::Taxi => "taxi",
+            Self::Compact => "compact",
+            Self::Minibus => "minibus",
+            Self::Truck => "truck",
+        }
+    }
 }
 
 /// The measures of a body, metres; `*_part` are parts of the length counted from the front bumper.

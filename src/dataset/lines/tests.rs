@@ -6,17 +6,24 @@ fn label() -> Label {
         class: 1,
         box_pixel: PixelBox::new(-3.5, 0.0, 1020.0625, 77.1234),
         center_pixel: [508.25, 38.0001],
-        distance_m: 104.9876,
+        distance_m: Some(104.9876),
         kind: BoxKind::Tight,
         visible: Some(0.5),
+        ignored: false,
     }
 }
 
 #[test]
 fn a_label_comes_back_from_its_line() {
     for visible in [None, Some(0.0), Some(0.1234), Some(1.0)] {
-        let label = Label { visible, ..label() };
-        assert_eq!(Label::parse_line(&label.to_line()), Ok(Some(label)));
+        for ignored in [false, true] {
+            let label = Label {
+                visible,
+                ignored,
+                ..label()
+            };
+            assert_eq!(Label::parse_line(&label.to_line()), Ok(Some(label)));
+        }
     }
 }
 
@@ -26,6 +33,29 @@ fn a_label_line_has_the_fields_of_the_format_in_their_order() {
         label().to_line(),
         "12 1 -3.5 0 1020.0625 77.1234 508.25 38.0001 104.9876 tight 0.5"
     );
+}
+
+#[test]
+fn an_ignored_label_ends_with_the_word_and_nothing_stands_after_it() {
+    let ignored = Label {
+        ignored: true,
+        ..label()
+    };
+    let line = ignored.to_line();
+    assert!(line.ends_with(" tight 0.5 ignored"), "{line}");
+    let message = Label::parse_line(&format!("{line} ignored")).unwrap_err();
+    assert!(message.contains("surplus field 'ignored'"), "{message}");
+}
+
+#[test]
+fn an_unknown_distance_is_a_dash() {
+    let label = Label {
+        distance_m: None,
+        ..label()
+    };
+    let line = label.to_line();
+    assert!(line.contains(" 508.25 38.0001 - tight "), "{line}");
+    assert_eq!(Label::parse_line(&line), Ok(Some(label)));
 }
 
 #[test]

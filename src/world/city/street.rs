@@ -164,8 +164,8 @@ impl<R: Rng> Builder<'_, R> {
                     .enumerate()
                 {
                     let at = [
-                        column.center + sx * (column.half_width + 0.9),
-                        row.center + sy * (row.half_width + 0.9),
+                        column.center + sx * (column.half_width + 1.75),
+                        row.center + sy * (row.half_width + 1.75),
                     ];
                     if distance([at, at], self.vehicle) < 4.0 {
                         continue;

@@ -1,0 +1,275 @@
+//! `twinsight import`.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use twinsight::Result;
+use twinsight::dataset::Problem;
+use twinsight::formats::kitti::KittiOptions;
+use twinsight::formats::vkitti2::Vkitti2Options;
+use twinsight::formats::{
+    ClassMap, HeapOptions, ImportReport, ImportTarget, SplitSettings, coco, kitti, vkitti2, yolo,
+};
+
+use super::values::{ImageSize, share};
+use super::{stderr, stdout, terminal};
+
+/// Subjects that are named for one reason; the rest is counted.
+const NAMED: usize = 12;
+
+/// Turn a dataset of another format into one that can be trained on
+///
+/// Images are copied as they are (PNG or JPEG) unless they have to be brought to the size of the
+/// others. Everything that had to be left out is named with its reason; `sources.csv` in the new
+/// dataset says which frame came from which file.
+#[derive(Debug, Args)]
+#[command(after_long_help = EXAMPLES)]
+pub struct ImportArgs {
+    #[command(subcommand)]
+    format: Format,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  KITTI's stereo pairs, cars and vans as one class, the drives kept apart:
+
+    twinsight import kitti kitti --classes car=Car+Van --groups drives.csv --out datasets/kitti
+
+  A YOLO dataset of single images, for the detector alone:
+
+    twinsight import yolo vehicles/data.yaml --out datasets/vehicles
+    twinsight train detector --data datasets/vehicles --box-kind tight";
+
+#[derive(Debug, Subcommand)]
+enum Format {
+    Kitti(KittiArgs),
+    Vkitti2(Vkitti2Args),
+    Yolo(YoloArgs),
+    Coco(CocoArgs),
+}
+
+/// What all formats have in common.
+#[derive(Debug, Args)]
+struct Common {
+    /// Folder of the new dataset
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// The classes to take, each with the foreign names that stand for it, such as
+    /// `car=Car+Van,walker=Pedestrian`; other objects are left out
+    #[arg(long, value_name = "MAP")]
+    classes: Option<ClassMap>,
+    /// CSV file that says what belongs together: a column `id`, `name`, `file`, `image` or `stamp`
+    /// names the frame, and a column `drive`, `raw_drive`, `scene`, `sequence` or `group` its
+    /// group, which is never split; a column `split` settles it by itself
+    #[arg(long, value_name = "FILE")]
+    groups: Option<PathBuf>,
+    /// Part of the frames that validates, where neither the source nor the table says
+    #[arg(long, value_name = "PART", default_value_t = 0.2, value_parser = share)]
+    val_fraction: f32,
+    /// The random split follows from it
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+impl Common {
+    fn target(&self) -> ImportTarget {
+        ImportTarget {
+            out: self.out.clone(),
+            classes: self.classes.clone(),
+            splits: SplitSettings {
+                table: self.groups.clone(),
+                val_fraction: f64::from(self.val_fraction),
+                seed: self.seed,
+            },
+        }
+    }
+}
+
+/// KITTI's object detection folder: stereo pairs, boxes in the image and in space
+///
+/// Car, Van and Truck become the class `car` unless `--classes` says otherwise. Distances run from
+/// the middle between the cameras to the centre of the box in space. Right boxes are those of
+/// `label_3` where it exists; otherwise the left box is moved as the projected box in space moves.
+/// Ignored, which means neither learnt nor judged, are `DontCare` regions and vehicles that are
+/// hidden or cut off too much.
+#[derive(Debug, Args)]
+struct KittiArgs {
+    /// The folder that holds `training`
+    source: PathBuf,
+    /// KITTI has several calibrations and a dataset one rig: 1 is the most common, 2 the next
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    rig: usize,
+    /// Ignore vehicles that are hidden more than this: 0 not at all, 1 partly, 2 largely
+    #[arg(long, value_name = "LEVEL", default_value_t = 2, value_parser = clap::value_parser!(u8).range(0..=3))]
+    max_occluded: u8,
+    /// Ignore vehicles of which a larger part lies outside the image
+    #[arg(long, value_name = "PART", default_value_t = 0.5, value_parser = share)]
+    max_truncated: f32,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Virtual KITTI 2: rendered streets in several weathers and times of day
+///
+/// Needs the archives `rgb` and `textgt`, unpacked into one folder. Scenes stay apart in the
+/// splits. Car, Van and Truck become the class `car` unless `--classes` says otherwise.
+#[derive(Debug, Args)]
+struct Vkitti2Args {
+    /// The folder that holds `Scene01` and so on
+    source: PathBuf,
+    /// Take only these variants, such as `clone,sunset`
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    variants: Vec<String>,
+    /// Ignore vehicles of which a smaller part is visible
+    #[arg(long, value_name = "PART", default_value_t = 0.25, value_parser = share)]
+    min_visible: f32,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// What the files of a heap of images do not say.
+#[derive(Debug, Args)]
+struct Heap {
+    /// Take every image by itself, even where names speak of left and right ones
+    #[arg(long)]
+    single: bool,
+    /// Distance between the cameras of stereo pairs, metres
+    #[arg(long, value_name = "M", requires = "hfov_deg")]
+    baseline_m: Option<f64>,
+    /// Horizontal field of view of the cameras of stereo pairs, degrees
+    #[arg(long, value_name = "DEG", requires = "baseline_m")]
+    hfov_deg: Option<f64>,
+    /// Size of all single images, pixels: larger ones are shrunk, smaller ones filled up with
+    /// black [default: as large as the largest]
+    #[arg(long, value_name = "WIDTHxHEIGHT")]
+    size: Option<ImageSize>,
+}
+
+impl Heap {
+    fn options(&self) -> HeapOptions {
+        HeapOptions {
+            single: self.single,
+            baseline_m: self.baseline_m,
+            hfov_deg: self.hfov_deg,
+            canvas: self.size.map(|size| [size.width, size.height]),
+        }
+    }
+}
+
+/// YOLO's text files with a data.yaml, optionally with the distance as a sixth number
+///
+/// Images called `left_NAME` and `right_NAME`, or in folders `left` and `right`, become stereo
+/// pairs. All others become single images, on which a detector can be trained.
+#[derive(Debug, Args)]
+struct YoloArgs {
+    /// `data.yaml` or the folder that holds it
+    source: PathBuf,
+    #[command(flatten)]
+    heap: Heap,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// COCO's instance annotations
+///
+/// Images called `left_NAME` and `right_NAME`, or in folders `left` and `right`, become stereo
+/// pairs. All others become single images, on which a detector can be trained. Crowds are ignored.
+#[derive(Debug, Args)]
+struct CocoArgs {
+    /// A JSON file, or a folder with JSON files in it or in its folder `annotations`
+    source: PathBuf,
+    /// Folder of the images, where it is not beside the annotations
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
+    #[command(flatten)]
+    heap: Heap,
+    #[command(flatten)]
+    common: Common,
+}
+
+impl ImportArgs {
+    /// Imports a dataset.
+    pub fn run(&self, quiet: bool) -> Result<()> {
+        let (report, out) = terminal::with_progress(quiet, |progress| match &self.format {
+            Format::Kitti(args) => {
+                let options = KittiOptions {
+                    source: args.source.clone(),
+                    rig: args.rig,
+                    most_occluded: args.max_occluded,
+                    most_truncated: f64::from(args.max_truncated),
+                };
+                let report = kitti::import(&options, &args.common.target(), progress)?;
+                Ok((report, &args.common.out))
+            }
+            Format::Vkitti2(args) => {
+                let options = Vkitti2Options {
+                    source: args.source.clone(),
+                    variants: args.variants.clone(),
+                    least_visible: f64::from(args.min_visible),
+                };
+                let report = vkitti2::import(&options, &args.common.target(), progress)?;
+                Ok((report, &args.common.out))
+            }
+            Format::Yolo(args) => {
+                let (options, target) = (args.heap.options(), args.common.target());
+                let report = yolo::import(&args.source, &options, &target, progress)?;
+                Ok((report, &args.common.out))
+            }
+            Format::Coco(args) => {
+                let (options, target) = (args.heap.options(), args.common.target());
+                let images = args.images.as_deref();
+                let report = coco::import(&args.source, images, &options, &target, progress)?;
+                Ok((report, &args.common.out))
+            }
+        })?;
+        if !quiet {
+            for line in left_out(&report.left_out) {
+                stderr::line(&line);
+            }
+        }
+        let out = out.display();
+        stdout::print(&format!("dataset {out}: {}\n", summary(&report)))
+    }
+}
+
+fn summary(report: &ImportReport) -> String {
+    let counts = report.counts;
+    let mut text = format!(
+        "{} frames ({} train, {} val, {} test), {} vehicles",
+        report.frames(),
+        counts.train,
+        counts.val,
+        counts.test,
+        report.vehicles
+    );
+    // Writing to a String cannot fail.
+    if report.ignored > 0 {
+        write!(text, ", {} of them ignored", report.ignored).ok();
+    }
+    if report.with_distance < report.vehicles {
+        write!(text, ", {} with a distance", report.with_distance).ok();
+    }
+    text
+}
+
+/// What was left out, a line a reason.
+pub fn left_out(problems: &[Problem]) -> Vec<String> {
+    let mut by_reason: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for problem in problems {
+        by_reason
+            .entry(&problem.reason)
+            .or_default()
+            .push(&problem.subject);
+    }
+    let line = |(reason, subjects): (&str, Vec<&str>)| {
+        let named: Vec<&str> = subjects.iter().take(NAMED).copied().collect();
+        let more = match subjects.len() - named.len() {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        format!("left out {}{more}: {reason}", named.join(", "))
+    };
+    by_reason.into_iter().map(line).collect()
+}

@@ -1,0 +1,150 @@
+//! COCO out.
+
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::super::copy;
+use super::super::report::ExportReport;
+use super::super::target::{begin_export, image_stem, interrupted};
+use super::{BoxExtra, CocoAnnotation, CocoCategory, CocoFile, CocoImage, FileExtra, ImageExtra};
+use crate::dataset::{BoxKind, Frame, Label, Split, StereoDataset};
+use crate::error::{Error, Result};
+use crate::files;
+use crate::geometry::{Camera, PixelBox};
+use crate::progress::Progress;
+
+/// Writes a dataset as COCO annotations, one file a split, and a folder `images`.
+///
+/// Boxes are cut off at the image's border; the whole ones stand under `twinsight`.
+///
+/// # Errors
+/// An occupied folder, or a file that cannot be read or written.
+pub fn export(
+    dataset: &StereoDataset,
+    kind: BoxKind,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<ExportReport> {
+    begin_export(dataset, kind, out)?;
+    for folder in ["images", "annotations"] {
+        files::create_folder(out.join(folder))?;
+    }
+    let mut report = ExportReport::default();
+    progress.begin("exporting frames", dataset.frames.len() as u64);
+    for split in Split::ALL {
+        let frames = dataset.split(*split);
+        if frames.is_empty() {
+            continue;
+        }
+        let images = frames
+            .par_iter()
+            .map(|frame| {
+                interrupted(progress)?;
+                let outcome = copy_images(dataset, frame, out);
+                progress.advance(1);
+                outcome
+            })
+            .collect::<Result<Vec<Vec<String>>>>()?;
+        let mut file = CocoFile {
+            images: Vec::new(),
+            annotations: Vec::new(),
+            categories: (1..)
+                .zip(dataset.classes())
+                .map(|(id, name)| CocoCategory {
+                    id,
+                    name: name.clone(),
+                })
+                .collect(),
+            twinsight: Some(FileExtra {
+                kind,
+                rig: dataset.info.stereo.then(|| (*dataset.rig()).into()),
+            }),
+        };
+        for (frame, names) in frames.iter().zip(images) {
+            add_frame(dataset, frame, names, kind, &mut file);
+        }
+        report.images += file.images.len();
+        report.boxes += file.annotations.len();
+        let path = out
+            .join("annotations")
+            .join(format!("instances_{split}.json"));
+        let text = serde_json::to_string(&file)
+            .map_err(|error| Error::dataset(&path, error.to_string(), "report this as a bug"))?;
+        files::write_atomically(&path, text.as_bytes())?;
+    }
+    progress.end();
+    Ok(report)
+}
+
+fn copy_images(dataset: &StereoDataset, frame: &Frame, out: &Path) -> Result<Vec<String>> {
+    let folder = out.join("images");
+    frame
+        .images()
+        .map(|(side, image)| {
+            copy::copy_as_is(&image.path, &folder, &image_stem(dataset, frame, side))
+        })
+        .collect()
+}
+
+fn add_frame(
+    dataset: &StereoDataset,
+    frame: &Frame,
+    names: Vec<String>,
+    kind: BoxKind,
+    file: &mut CocoFile,
+) {
+    for ((side, image), file_name) in frame.images().zip(names) {
+        let camera = dataset.rig().camera(side);
+        let image_id = file.images.len() as u64 + 1;
+        let row = frame.row.clone();
+        file.images.push(CocoImage {
+            id: image_id,
+            file_name,
+            width: camera.width,
+            height: camera.height,
+            twinsight: Some(ImageExtra {
+                scene: row.scene,
+                sun: row.sun,
+                view: row.view,
+                azimuth_deg: row.azimuth_deg,
+                elevation_deg: row.elevation_deg,
+                distance_m: row.distance_m,
+            }),
+        });
+        for label in image.labels_of(kind) {
+            let id = file.annotations.len() as u64 + 1;
+            file.annotations
+                .push(annotation(label, id, image_id, camera));
+        }
+    }
+}
+
+fn annotation(label: &Label, id: u64, image_id: u64, camera: &Camera) -> CocoAnnotation {
+    let short = |value: f64| (value * 1e4).round() / 1e4;
+    let PixelBox {
+        x_min,
+        y_min,
+        x_max,
+        y_max,
+    } = label.box_pixel;
+    let inside = label
+        .box_pixel
+        .clipped(f64::from(camera.width), f64::from(camera.height));
+    let bbox = [inside.x_min, inside.y_min, inside.width(), inside.height()];
+    CocoAnnotation {
+        id,
+        image_id,
+        category_id: u64::from(label.class) + 1,
+        bbox: bbox.map(short).to_vec(),
+        area: short(inside.area()),
+        iscrowd: u8::from(label.ignored),
+        twinsight: Some(BoxExtra {
+            vehicle: label.id,
+            distance_m: label.distance_m,
+            visible: label.visible,
+            center: label.center_pixel,
+            edges: [x_min, y_min, x_max, y_max],
+        }),
+    }
+}

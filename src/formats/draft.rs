@@ -1,0 +1,317 @@
+//! A dataset that has been read from foreign files and waits to be written.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::classes::ClassMap;
+use super::copy;
+use super::report::ImportReport;
+use super::splits::{self, SplitSettings};
+use crate::dataset::{
+    BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, Problem, Side, Split, SplitCounts,
+    label_file_text, stamp_name, write_frames_csv,
+};
+use crate::error::{Error, Result};
+use crate::files;
+use crate::geometry::StereoRig;
+use crate::progress::Progress;
+
+/// Holds what is being imported while frames are missing.
+const MARKER: &str = "importing.toml";
+
+/// Where an import goes, and what all formats have in common.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImportTarget {
+    /// Folder of the dataset; created where it is missing.
+    pub out: PathBuf,
+    /// The classes that are wanted; none takes the format's own default.
+    pub classes: Option<ClassMap>,
+    /// How frames are divided.
+    pub splits: SplitSettings,
+}
+
+/// One frame with its labels, its images still in the foreign folder.
+#[derive(Debug, Clone)]
+pub(super) struct DraftFrame {
+    /// What the source calls it.
+    pub name: String,
+    /// The left image, and the right one where there is one.
+    pub images: Vec<PathBuf>,
+    /// Labels of each image.
+    pub labels: Vec<Vec<Label>>,
+    /// The split that the source gives it.
+    pub split: Option<Split>,
+    /// Its row of `frames.csv`; the split in it is not decided yet.
+    pub row: FrameRow,
+}
+
+impl DraftFrame {
+    /// A frame of which nothing is known but its images and labels.
+    pub fn new(name: String, stamp: u64, images: Vec<PathBuf>, labels: Vec<Vec<Label>>) -> Self {
+        Self {
+            name,
+            images,
+            labels,
+            split: None,
+            row: FrameRow {
+                stamp,
+                split: Split::Train,
+                scene: None,
+                sun: None,
+                view: None,
+                azimuth_deg: None,
+                elevation_deg: None,
+                distance_m: None,
+            },
+        }
+    }
+
+    /// What a table may call the frame.
+    pub fn names(&self) -> Vec<String> {
+        let of_path = |path: &PathBuf| {
+            let part = |part: Option<&std::ffi::OsStr>| {
+                part.map(|name| name.to_string_lossy().into_owned())
+            };
+            [part(path.file_name()), part(path.file_stem())]
+        };
+        let files = self.images.first().map(of_path).into_iter().flatten();
+        std::iter::once(self.name.clone())
+            .chain(files.flatten())
+            .collect()
+    }
+}
+
+/// Stamps for frames of these names: the numbers that the names are, or else their places.
+pub(super) fn stamps(names: &[String]) -> Vec<u64> {
+    let numbers: Option<Vec<u64>> = names
+        .iter()
+        .map(|name| {
+            let is_number = name.bytes().all(|byte| byte.is_ascii_digit());
+            is_number.then(|| name.parse().ok()).flatten()
+        })
+        .collect();
+    let distinct = |numbers: &Vec<u64>| {
+        let set: std::collections::BTreeSet<_> = numbers.iter().collect();
+        set.len() == names.len()
+    };
+    numbers
+        .filter(distinct)
+        .unwrap_or_else(|| (1..=names.len() as u64).collect())
+}
+
+/// A whole dataset on its way in.
+#[derive(Debug)]
+pub(super) struct Draft {
+    /// The command that reads it, for `dataset.toml`.
+    pub program: &'static str,
+    /// The foreign dataset.
+    pub source: PathBuf,
+    /// Class names.
+    pub classes: Vec<String>,
+    /// Kinds of box that the labels have.
+    pub kinds: Vec<BoxKind>,
+    /// The two cameras, or those of single images.
+    pub rig: StereoRig,
+    /// Whether there are right images.
+    pub stereo: bool,
+    /// What was read.
+    pub frames: Vec<DraftFrame>,
+    /// What could not be read.
+    pub problems: Vec<Problem>,
+}
+
+impl Draft {
+    /// Drops labels of kinds that the dataset does not have.
+    pub fn keep_kinds(&mut self) {
+        for labels in self.frames.iter_mut().flat_map(|frame| &mut frame.labels) {
+            labels.retain(|label| self.kinds.contains(&label.kind));
+        }
+    }
+
+    /// Divides the frames and writes everything. `dataset.toml` comes last, so that nothing takes a
+    /// half-written folder for a dataset.
+    pub fn write(mut self, target: &ImportTarget, progress: &dyn Progress) -> Result<ImportReport> {
+        self.frames.sort_by_key(|frame| frame.row.stamp);
+        let unlisted = splits::divide(&mut self.frames, &target.splits)?;
+        self.problems.extend(unlisted);
+        self.refuse_empty()?;
+        let out = &target.out;
+        self.begin(target)?;
+        progress.begin("importing frames", self.frames.len() as u64);
+        let outcomes: Vec<Result<Result<(), String>>> = self
+            .frames
+            .par_iter()
+            .map(|frame| {
+                if progress.interrupted() {
+                    return Err(Error::Interrupted {
+                        resume: "run the same command again".to_owned(),
+                    });
+                }
+                let outcome = self.write_frame(frame, out);
+                progress.advance(1);
+                outcome
+            })
+            .collect();
+        progress.end();
+        let mut kept = Vec::with_capacity(outcomes.len());
+        for (frame, outcome) in std::mem::take(&mut self.frames).into_iter().zip(outcomes) {
+            match outcome? {
+                Ok(()) => kept.push(frame),
+                Err(reason) => self.problems.push(Problem {
+                    subject: frame.name,
+                    reason,
+                }),
+            }
+        }
+        self.frames = kept;
+        self.refuse_empty()?;
+        self.finish(out)?;
+        Ok(self.report())
+    }
+
+    /// Begins or continues an import into a folder.
+    fn begin(&self, target: &ImportTarget) -> Result<()> {
+        let out = &target.out;
+        let marker = format!(
+            "# This import is unfinished: run the same command again to complete it.\n\
+             program = {:?}\nsource = {:?}\nsettings = {:?}\n",
+            self.program,
+            self.source.display().to_string(),
+            format!("{:?} {:?} {:?}", self.classes, self.rig, target.splits),
+        );
+        let path = out.join(MARKER);
+        let begun = files::read_text(&path).is_ok_and(|old| old == marker);
+        let occupied = ["dataset.toml", "frames.csv", "frames", MARKER];
+        if !begun && occupied.iter().any(|name| out.join(name).exists()) {
+            return Err(Error::dataset(
+                out,
+                "already holds a dataset or another unfinished one, which is never overwritten",
+                "choose another folder with --out, or delete this one",
+            ));
+        }
+        files::create_folder(out.join("frames"))?;
+        files::write_atomically(&path, marker.as_bytes())
+    }
+
+    /// Writes a frame; the inner error is a reason to leave it out.
+    fn write_frame(&self, frame: &DraftFrame, out: &Path) -> Result<Result<(), String>> {
+        let folder = out.join("frames");
+        let mut written = Vec::new();
+        for ((side, image), labels) in Side::ALL.iter().zip(&frame.images).zip(&frame.labels) {
+            let camera = self.rig.camera(*side);
+            let stem = format!("{side}_{}", stamp_name(frame.row.stamp));
+            match copy::place(image, &folder, &stem, [camera.width, camera.height]) {
+                Ok(path) => written.push(path),
+                // What cannot be written stops the import, what cannot be read only this frame.
+                Err(
+                    error @ Error::Io {
+                        action: "write", ..
+                    },
+                ) => return Err(error),
+                Err(error) => {
+                    for path in written {
+                        fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+                    }
+                    return Ok(Err(error.to_string()));
+                }
+            }
+            let path = folder.join(format!("{stem}.txt"));
+            files::write_atomically(&path, label_file_text(labels).as_bytes())?;
+            written.push(path);
+        }
+        Ok(Ok(()))
+    }
+
+    fn finish(&self, out: &Path) -> Result<()> {
+        let rows: Vec<FrameRow> = self.frames.iter().map(|frame| frame.row.clone()).collect();
+        write_frames_csv(out.join("frames.csv"), &rows)?;
+        files::write_atomically(out.join("sources.csv"), self.sources()?.as_bytes())?;
+        let mut made_by = toml::Table::new();
+        made_by.insert("program".to_owned(), self.program.into());
+        made_by.insert("version".to_owned(), env!("CARGO_PKG_VERSION").into());
+        let source = self.source.display().to_string();
+        made_by.insert("source".to_owned(), source.into());
+        let info = DatasetInfo {
+            version: FORMAT_VERSION,
+            classes: self.classes.clone(),
+            label_kinds: self.kinds.clone(),
+            stereo: self.stereo,
+            rig: self.rig,
+            made_by,
+        };
+        let path = out.join("dataset.toml");
+        let text = info
+            .to_toml()
+            .map_err(|error| Error::dataset(&path, error.to_string(), "report this as a bug"))?;
+        files::write_atomically(&path, text.as_bytes())?;
+        let marker = out.join(MARKER);
+        fs::remove_file(&marker).map_err(Error::io("remove", &marker))
+    }
+
+    /// Which foreign file became which frame.
+    fn sources(&self) -> Result<String> {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let failed = |error: csv::Error| {
+            Error::dataset(&self.source, error.to_string(), "report this as a bug")
+        };
+        writer
+            .write_record(["stamp", "name", "left", "right"])
+            .map_err(failed)?;
+        for frame in &self.frames {
+            let image = |index: usize| {
+                let path = frame.images.get(index)?;
+                let inside = path.strip_prefix(&self.source).unwrap_or(path);
+                Some(inside.display().to_string())
+            };
+            let [left, right] = [0, 1].map(|index| image(index).unwrap_or_default());
+            let stamp = stamp_name(frame.row.stamp);
+            writer
+                .write_record([&stamp, &frame.name, &left, &right])
+                .map_err(failed)?;
+        }
+        let bytes = writer.into_inner().map_err(|error| {
+            Error::dataset(&self.source, error.to_string(), "report this as a bug")
+        })?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+
+    fn refuse_empty(&self) -> Result<()> {
+        if !self.frames.is_empty() {
+            return Ok(());
+        }
+        let reason = if self.problems.is_empty() {
+            "there is none".to_owned()
+        } else {
+            Problem::summary(&self.problems)
+        };
+        Err(Error::dataset(
+            &self.source,
+            format!("gives no usable frame: {reason}"),
+            "repair what is named, or check the folder and the format",
+        ))
+    }
+
+    fn report(self) -> ImportReport {
+        let mut counts = SplitCounts::default();
+        for frame in &self.frames {
+            *counts.of_mut(frame.row.split) += 1;
+        }
+        // Labels come once per kind of box.
+        let kind = self.kinds.first().copied().unwrap_or(BoxKind::Tight);
+        let vehicles = || {
+            let labels = self.frames.iter().filter_map(|frame| frame.labels.first());
+            labels.flatten().filter(move |label| label.kind == kind)
+        };
+        ImportReport {
+            counts,
+            vehicles: vehicles().count(),
+            ignored: vehicles().filter(|label| label.ignored).count(),
+            with_distance: vehicles()
+                .filter(|label| label.distance_m.is_some())
+                .count(),
+            left_out: self.problems,
+        }
+    }
+}

@@ -1,0 +1,319 @@
+//! KITTI in.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::super::copy;
+use super::super::draft::{Draft, DraftFrame, ImportTarget, stamps};
+use super::super::report::ImportReport;
+use super::super::vehicle::{self, Sighting};
+use super::super::{ClassMap, image_files};
+use super::calib::Calibration;
+use super::objects::{DONT_CARE, Object};
+use crate::dataset::{BoxKind, Label, Problem, Split};
+use crate::error::{Error, Result};
+use crate::files;
+use crate::geometry::{Cuboid, StereoRig};
+use crate::progress::Progress;
+
+/// How a KITTI folder is read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KittiOptions {
+    /// The folder that holds `training`, or `training` itself.
+    pub source: PathBuf,
+    /// KITTI was recorded with several calibrations and a dataset has one rig: 1 takes the frames
+    /// of the most common calibration, 2 of the next, and so on.
+    pub rig: usize,
+    /// Vehicles that are hidden more than this are ignored: 0 not at all, 1 partly, 2 largely.
+    pub most_occluded: u8,
+    /// Vehicles of which a larger part lies outside the image are ignored.
+    pub most_truncated: f64,
+}
+
+impl KittiOptions {
+    /// The options of KITTI's own hardest level: ignored are vehicles hidden to an unknown degree
+    /// or more than half outside the image.
+    pub fn new(source: impl Into<PathBuf>) -> Self {
+        Self {
+            source: source.into(),
+            rig: 1,
+            most_occluded: 2,
+            most_truncated: 0.5,
+        }
+    }
+}
+
+/// A frame as its files say it.
+struct Found {
+    name: String,
+    images: [PathBuf; 2],
+    sizes: [[u32; 2]; 2],
+    calibration: Calibration,
+    objects: Vec<Object>,
+    /// Boxes in the right image by the object's number.
+    right: Vec<Option<Object>>,
+}
+
+/// Imports a KITTI object detection folder.
+///
+/// # Errors
+/// A folder that is not KITTI's, a target that is occupied, or no usable frame.
+pub fn import(
+    options: &KittiOptions,
+    target: &ImportTarget,
+    progress: &dyn Progress,
+) -> Result<ImportReport> {
+    let training = training_folder(&options.source)?;
+    let names: Vec<String> = image_files(&training.join("image_2"))?
+        .into_keys()
+        .collect();
+    let right_images = image_files(&training.join("image_3"))?;
+    let left_images = image_files(&training.join("image_2"))?;
+    let outcomes: Vec<Result<Found, Problem>> = names
+        .par_iter()
+        .map(|name| {
+            let image = |images: &BTreeMap<String, PathBuf>, folder: &str| {
+                let path = images.get(name).cloned();
+                path.ok_or_else(|| format!("has no image in {folder}"))
+            };
+            image(&left_images, "image_2")
+                .and_then(|left| Ok([left, image(&right_images, "image_3")?]))
+                .and_then(|images| read_frame(&training, name, images))
+                .map_err(|reason| Problem {
+                    subject: name.clone(),
+                    reason,
+                })
+        })
+        .collect();
+    let mut problems = Vec::new();
+    let mut found = Vec::new();
+    for outcome in outcomes {
+        match outcome {
+            Ok(frame) => found.push(frame),
+            Err(problem) => problems.push(problem),
+        }
+    }
+    let (found, size) = of_one_rig(found, options, &mut problems)?;
+    let Some(first) = found.first() else {
+        let reason = if problems.is_empty() {
+            "image_2 holds no images".to_owned()
+        } else {
+            Problem::summary(&problems)
+        };
+        return Err(Error::dataset(
+            &options.source,
+            format!("gives no usable frame: {reason}"),
+            "repair what is named, or check that it is KITTI's object detection folder",
+        ));
+    };
+    let rig = first.calibration.rig(size)?;
+    let classes = target
+        .classes
+        .clone()
+        .unwrap_or_else(|| ClassMap::merged("car", &["Car", "Van", "Truck"]));
+    let splits = image_sets(&options.source)?;
+    let stamps = stamps(&found.iter().map(|f| f.name.clone()).collect::<Vec<_>>());
+    let sized = found.iter().flat_map(|frame| &frame.objects);
+    let has_spheres = sized
+        .filter_map(|object| object.cuboid)
+        .any(|cuboid| cuboid.height_m > 0.0);
+    let frames = found
+        .into_iter()
+        .zip(stamps)
+        .map(|(found, stamp)| draft(found, stamp, &rig, &classes, options, &splits))
+        .collect();
+    let kinds = if has_spheres {
+        vec![BoxKind::Sphere, BoxKind::Tight]
+    } else {
+        vec![BoxKind::Tight]
+    };
+    let mut draft = Draft {
+        program: "twinsight import kitti",
+        source: options.source.clone(),
+        classes: classes.names(),
+        kinds,
+        rig,
+        stereo: true,
+        frames,
+        problems,
+    };
+    draft.keep_kinds();
+    draft.write(target, progress)
+}
+
+fn training_folder(source: &Path) -> Result<PathBuf> {
+    [source.join("training"), source.to_path_buf()]
+        .into_iter()
+        .find(|folder| folder.join("image_2").is_dir())
+        .ok_or_else(|| {
+            Error::dataset(
+                source,
+                "has no folder training/image_2",
+                "give the folder of KITTI's object detection set that holds `training`",
+            )
+        })
+}
+
+fn read_frame(training: &Path, name: &str, images: [PathBuf; 2]) -> Result<Found, String> {
+    let calibration = Calibration::read(&training.join("calib").join(format!("{name}.txt")))
+        .map_err(|reason| format!("calibration: {reason}"))?;
+    let objects = read_objects(training, "label_2", name)?;
+    let right_path = training.join("label_3").join(format!("{name}.txt"));
+    let right = if right_path.exists() {
+        read_objects(training, "label_3", name)?
+    } else {
+        Vec::new()
+    };
+    let size = |path: &Path| copy::dimensions(path).map_err(|error| error.to_string());
+    let sizes = [size(&images[0])?, size(&images[1])?];
+    // Line by line the same object: it has the same class and place.
+    let same = |(left, right): (&Object, &Object)| {
+        left.class == right.class && left.cuboid == right.cuboid && left.cuboid.is_some()
+    };
+    let right = (0..objects.len())
+        .map(|i| {
+            right
+                .get(i)
+                .filter(|right| same((&objects[i], right)))
+                .cloned()
+        })
+        .collect();
+    Ok(Found {
+        name: name.to_owned(),
+        images,
+        sizes,
+        calibration,
+        objects,
+        right,
+    })
+}
+
+fn read_objects(training: &Path, folder: &str, name: &str) -> Result<Vec<Object>, String> {
+    let path = training.join(folder).join(format!("{name}.txt"));
+    let text = files::read_text(&path).map_err(|error| error.to_string())?;
+    Object::parse_file(&text, &format!("{folder}/{name}.txt"))
+}
+
+/// The frames of one calibration, and the size that holds all their images.
+fn of_one_rig(
+    found: Vec<Found>,
+    options: &KittiOptions,
+    problems: &mut Vec<Problem>,
+) -> Result<(Vec<Found>, [u32; 2])> {
+    let mut rigs: BTreeMap<Vec<i64>, Vec<Found>> = BTreeMap::new();
+    for frame in found {
+        rigs.entry(frame.calibration.key()).or_default().push(frame);
+    }
+    let mut rigs: Vec<Vec<Found>> = rigs.into_values().collect();
+    rigs.sort_by_key(|frames| std::cmp::Reverse(frames.len()));
+    let count = rigs.len();
+    if options.rig == 0 || (options.rig > count && count > 0) {
+        return Err(Error::value(
+            format!("rig {}", options.rig),
+            format!("the frames have {count} rigs"),
+            format!("give a number from 1 to {count}"),
+        ));
+    }
+    let mut kept = Vec::new();
+    for (number, frames) in (1..).zip(rigs) {
+        if number == options.rig {
+            kept = frames;
+            continue;
+        }
+        problems.extend(frames.into_iter().map(|frame| Problem {
+            subject: frame.name,
+            reason: format!(
+                "has another rig, focal length {:.2} px and baseline {:.4} m; import it into a \
+                 dataset of its own with --rig {number}",
+                frame.calibration.left.focal_x_px, frame.calibration.baseline_m
+            ),
+        }));
+    }
+    let sizes = || kept.iter().flat_map(|frame| frame.sizes);
+    let largest = |i: usize| sizes().map(|size| size[i]).max().unwrap_or(0);
+    let size = [largest(0), largest(1)];
+    Ok((kept, size))
+}
+
+fn draft(
+    found: Found,
+    stamp: u64,
+    rig: &StereoRig,
+    classes: &ClassMap,
+    options: &KittiOptions,
+    splits: &BTreeMap<String, Split>,
+) -> DraftFrame {
+    let mut sides = [Vec::new(), Vec::new()];
+    let mut judged: Vec<Cuboid> = Vec::new();
+    for (id, (object, right)) in (0..).zip(found.objects.iter().zip(&found.right)) {
+        if object.class == DONT_CARE {
+            sides[0].extend(region(object, id));
+            continue;
+        }
+        let Some(class) = classes.index_of(&object.class) else {
+            continue;
+        };
+        let Some(cuboid) = object.cuboid else {
+            sides[0].extend(region(object, id));
+            continue;
+        };
+        let cuboid_rig = cuboid.moved(found.calibration.rig_from_reference_m);
+        let truncated = object.truncated.unwrap_or(0.0);
+        let sighting = Sighting {
+            id,
+            class,
+            ignored: object.occluded > options.most_occluded || truncated > options.most_truncated,
+            visible: [(object.occluded == 0).then_some(1.0 - truncated), None],
+            boxes: [
+                Some(object.box_pixel),
+                right.as_ref().map(|right| right.box_pixel),
+            ],
+        };
+        if !sighting.ignored {
+            judged.push(cuboid_rig);
+        }
+        let labels = vehicle::labels(rig, &cuboid_rig, &sighting);
+        for (side, labels) in sides.iter_mut().zip(labels) {
+            side.extend(labels);
+        }
+    }
+    let split = splits.get(&found.name).copied();
+    let mut frame = DraftFrame::new(found.name, stamp, found.images.to_vec(), sides.to_vec());
+    frame.split = split;
+    vehicle::describe(&mut frame, &judged);
+    frame
+}
+
+/// A region in which nothing was labelled, or a vehicle without a box in space: ignored, whatever
+/// kind of box is learnt.
+fn region(object: &Object, id: u32) -> [Label; 2] {
+    [BoxKind::Sphere, BoxKind::Tight].map(|kind| Label {
+        id,
+        class: 0,
+        box_pixel: object.box_pixel,
+        center_pixel: object.box_pixel.center(),
+        distance_m: None,
+        kind,
+        visible: None,
+        ignored: true,
+    })
+}
+
+/// Which frames the lists in `ImageSets` give to which split.
+fn image_sets(source: &Path) -> Result<BTreeMap<String, Split>> {
+    let mut splits = BTreeMap::new();
+    for split in Split::ALL {
+        let path = source.join("ImageSets").join(format!("{split}.txt"));
+        if path.exists() {
+            let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+            let names = text
+                .split_whitespace()
+                .map(|name| (name.to_owned(), *split));
+            splits.extend(names);
+        }
+    }
+    Ok(splits)
+}

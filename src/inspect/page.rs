@@ -1,0 +1,159 @@
+//! The page: one HTML file with everything in it.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use image::RgbImage;
+use image::codecs::jpeg::JpegEncoder;
+use minijinja::Environment;
+use minijinja::value::Serde;
+use serde::Serialize;
+
+use super::charts;
+use super::samples::Row;
+use super::summary::Summary;
+use crate::dataset::{BoxKind, StereoDataset};
+use crate::error::{Error, Result};
+
+/// The page without its content.
+const TEMPLATE: &str = include_str!("page.html");
+
+/// Quality of the pictures in the page: good enough to judge a dataset, small enough to mail.
+const JPEG_QUALITY: u8 = 82;
+
+/// What the template fills in.
+#[derive(Serialize)]
+struct Page<'a> {
+    name: String,
+    facts: Vec<[String; 2]>,
+    left_out: Vec<String>,
+    splits: Vec<SplitRow>,
+    charts: Vec<ChartPart>,
+    rows: Vec<RowPart<'a>>,
+}
+
+#[derive(Serialize)]
+struct SplitRow {
+    name: String,
+    color: String,
+    numbers: [usize; 6],
+}
+
+#[derive(Serialize)]
+struct ChartPart {
+    title: &'static str,
+    svg: String,
+}
+
+#[derive(Serialize)]
+struct RowPart<'a> {
+    title: &'a str,
+    samples: Vec<SamplePart<'a>>,
+}
+
+#[derive(Serialize)]
+struct SamplePart<'a> {
+    caption: &'a str,
+    jpeg: String,
+    width: u32,
+    height: u32,
+}
+
+/// The whole page as text.
+pub(super) fn render(
+    dataset: &StereoDataset,
+    kind: BoxKind,
+    summary: &Summary,
+    rows: &[Row],
+) -> Result<String> {
+    let splits = summary.splits.iter().map(|split| {
+        let (red, green, blue) = charts::color(split.split);
+        SplitRow {
+            name: split.split.to_string(),
+            color: format!("#{red:02x}{green:02x}{blue:02x}"),
+            numbers: [
+                split.frames,
+                split.images,
+                split.scenes,
+                split.vehicles,
+                split.pairs,
+                split.ignored,
+            ],
+        }
+    });
+    let charts = charts::all(summary)?.into_iter().map(|chart| ChartPart {
+        title: chart.title,
+        svg: chart.svg,
+    });
+    let folder = &dataset.folder;
+    let name = folder.canonicalize().unwrap_or_else(|_| folder.clone());
+    let name = name.file_name().unwrap_or_default().to_string_lossy();
+    let page = Page {
+        name: name.into_owned(),
+        facts: facts(dataset, kind),
+        left_out: dataset.problems.iter().map(ToString::to_string).collect(),
+        splits: splits.collect(),
+        charts: charts.collect(),
+        rows: rows.iter().map(row_part).collect::<Result<_>>()?,
+    };
+    let failed =
+        |error: minijinja::Error| Error::value("page", error.to_string(), "report this as a bug");
+    // The name's ending makes the engine escape what it fills in.
+    Environment::new()
+        .render_named_str("page.html", TEMPLATE, Serde(&page))
+        .map_err(failed)
+}
+
+fn facts(dataset: &StereoDataset, kind: BoxKind) -> Vec<[String; 2]> {
+    let rig = dataset.rig();
+    let camera = &rig.left;
+    let fact = |name: &str, value: String| [name.to_owned(), value];
+    let mut facts = vec![
+        fact("images", format!("{} x {} px", camera.width, camera.height)),
+        fact("classes", dataset.classes().join(", ")),
+        fact("boxes shown", kind.to_string()),
+    ];
+    if dataset.info.stereo {
+        facts.push(fact("baseline", format!("{:.4} m", rig.baseline_m)));
+        facts.push(fact("focal length", format!("{:.1} px", rig.focal_px())));
+        let [near, far] = [10.0, 100.0].map(|z_m| rig.disparity_px(z_m));
+        facts.push(fact(
+            "disparity",
+            format!("{near:.1} px at 10 m, {far:.2} px at 100 m"),
+        ));
+    } else {
+        facts.push(fact(
+            "stereo",
+            "no: single images, for detectors".to_owned(),
+        ));
+    }
+    let made_by = &dataset.info.made_by;
+    for key in ["program", "version", "source"] {
+        if let Some(value) = made_by.get(key).and_then(toml::Value::as_str) {
+            facts.push(fact(key, value.to_owned()));
+        }
+    }
+    facts
+}
+
+fn row_part(row: &Row) -> Result<RowPart<'_>> {
+    let samples = row.samples.iter().map(|sample| {
+        Ok(SamplePart {
+            caption: &sample.caption,
+            jpeg: jpeg_base64(&sample.picture)?,
+            width: sample.picture.width(),
+            height: sample.picture.height(),
+        })
+    });
+    Ok(RowPart {
+        title: &row.title,
+        samples: samples.collect::<Result<_>>()?,
+    })
+}
+
+fn jpeg_base64(picture: &RgbImage) -> Result<String> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
+        .encode_image(picture)
+        .map_err(|error| Error::value("sample", error.to_string(), "report this as a bug"))?;
+    Ok(STANDARD.encode(bytes))
+}
