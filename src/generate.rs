@@ -23,7 +23,7 @@ use crate::dataset::{FrameRow, ObjectRow, Split};
 use crate::error::{Error, Result};
 use crate::geometry::StereoRig;
 use crate::progress::Progress;
-use crate::render::{Eye, RenderSettings, Stage, render};
+use crate::render::{Conditions, Eye, RenderSettings, Stage, render};
 use crate::world::Scene;
 use crate::world::noise::derive_seed;
 use label::{labels, objects};
@@ -120,12 +120,13 @@ fn generate_scene(
         .iter()
         .map(|frame| frame.distance_m)
         .fold(0.0, f64::max);
-    let stage = Stage::new(Scene::draw_with_traffic(
+    let stage = Stage::new(Scene::draw_dressed(
         config.seed,
         scene.number,
         reach_m,
         vehicles_of_scene(config, scene.number),
         (TRAFFIC_PART * config.distance_max_m).clamp(TRAFFIC_M[0], TRAFFIC_M[1]),
+        config.appearance.wardrobe(),
     ));
     scene
         .frames
@@ -173,9 +174,10 @@ fn write_frame(
         samples_per_pixel: config.samples_per_pixel,
         noise_counts: config.noise_counts,
         noise_seed: capture.noise_seed,
+        conditions: Conditions::draw(&config.appearance, capture.sun, capture.noise_seed),
     };
     for eye in Eye::BOTH {
-        let image = render(stage, rig, &capture.pose, eye, capture.sun, &settings);
+        let image = render(stage, rig, &capture.pose, eye, &settings);
         let labels = labels(config, stage, rig, capture, eye);
         target.write_view(capture.row.stamp, eye, &image, &labels)?;
     }

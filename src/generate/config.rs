@@ -9,6 +9,7 @@ use crate::dataset::View;
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::StereoRig;
+use crate::render::Appearance;
 use crate::world::Sun;
 
 /// How frames are divided between training and validation.
@@ -65,6 +66,8 @@ pub struct GenerateConfig {
     pub val_fraction: f64,
     /// How frames are divided between training and validation.
     pub split: SplitMode,
+    /// Weather, camera, sensor, bodies and paints.
+    pub appearance: Appearance,
     /// A grid of test views in scenes of their own.
     pub test: Option<TestProtocol>,
 }
@@ -178,6 +181,7 @@ impl Default for GenerateConfig {
             ignore_below_px: 6.0,
             val_fraction: 0.2,
             split: SplitMode::Scene,
+            appearance: Appearance::default(),
             test: None,
         }
     }
@@ -283,6 +287,7 @@ impl GenerateConfig {
         in_range("ignore_below_px", self.ignore_below_px, 0.0, 1000.0)?;
         self.vehicles.validate()?;
         in_range("val_fraction", self.val_fraction, 0.0, 0.9)?;
+        self.appearance.validate()?;
         let root = self.samples_per_pixel.isqrt();
         if root * root != self.samples_per_pixel {
             return Err(Error::value(
