@@ -7,12 +7,14 @@
 
 mod film;
 mod frame;
+mod maps;
 mod pose;
 mod shade;
 mod silhouette;
 mod trace;
 
 pub use frame::{RenderSettings, render};
+pub use maps::{Instances, depth};
 pub use pose::{Eye, RigPose};
 pub use silhouette::Silhouette;
 pub use trace::Stage;
