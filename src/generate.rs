@@ -26,7 +26,7 @@ pub use plan::view_of_azimuth;
 use crate::dataset::{Split, read_frames_csv};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
-use crate::render::{Eye, Instances, RenderSettings, Stage, render};
+use crate::render::{Conditions, Eye, Instances, RenderSettings, Stage, render};
 use crate::world::Scene;
 use crate::world::noise::derive_seed;
 use estimate::{Sample, Work, announce};
@@ -192,12 +192,13 @@ fn stage_of(config: &GenerateConfig, scene: &SceneDraft) -> Stage {
         .iter()
         .map(|frame| frame.distance_m)
         .fold(0.0, f64::max);
-    Stage::new(Scene::draw_with_traffic(
+    Stage::new(Scene::draw_dressed(
         config.seed,
         scene.number,
         reach_m,
         vehicles_of_scene(config, scene.number),
         (TRAFFIC_PART * config.distance_max_m).clamp(TRAFFIC_M[0], TRAFFIC_M[1]),
+        config.appearance.wardrobe(),
     ))
 }
 
@@ -238,10 +239,11 @@ fn write_frame(
         samples_per_pixel: config.samples_per_pixel,
         noise_counts: config.noise_counts,
         noise_seed: capture.noise_seed,
+        conditions: Conditions::draw(&config.appearance, capture.sun, capture.noise_seed),
     };
     let rig = target.rig();
     for eye in Eye::BOTH {
-        let image = render(stage, rig, &capture.pose, eye, capture.sun, &settings);
+        let image = render(stage, rig, &capture.pose, eye, &settings);
         let Instances { silhouettes, map } = Instances::measure(stage, rig, &capture.pose, eye);
         let labels = labels(config, stage, rig, capture, eye, &silhouettes);
         write_maps(config.outputs, stage, capture, eye, &map, target)?;

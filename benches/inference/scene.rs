@@ -6,7 +6,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 use twinsight::detector::Detection;
 use twinsight::geometry::{PixelBox, StereoRig};
-use twinsight::render::{Eye, RenderSettings, RigPose, Stage, render};
+use twinsight::render::{Conditions, Eye, RenderSettings, RigPose, Stage, render};
 use twinsight::world::{Scene, Sun};
 use twinsight::{Error, Result};
 
@@ -61,12 +61,13 @@ pub fn render_views(stage: &Stage, rig: &StereoRig, views: &[RigPose]) -> Vec<[R
         samples_per_pixel: 4,
         noise_counts: 1.5,
         noise_seed: SEED,
+        conditions: Conditions::fair(Sun::Noon),
     };
     views
         .par_iter()
         .map(|view| {
             let [left, right] =
-                Eye::BOTH.map(|eye| move || render(stage, rig, view, eye, Sun::Noon, &settings));
+                Eye::BOTH.map(|eye| move || render(stage, rig, view, eye, &settings));
             let (left, right) = rayon::join(left, right);
             [left, right]
         })

@@ -9,6 +9,7 @@ use crate::dataset::View;
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::StereoRig;
+use crate::render::Appearance;
 use crate::world::Sun;
 
 /// How frames are divided between training and validation.
@@ -67,6 +68,8 @@ pub struct GenerateConfig {
     pub split: SplitMode,
     /// What is written beside images and labels.
     pub outputs: Outputs,
+    /// Weather, camera, sensor, bodies and paints.
+    pub appearance: Appearance,
     /// A grid of test views in scenes of their own.
     pub test: Option<TestProtocol>,
 }
@@ -215,6 +218,7 @@ impl Default for GenerateConfig {
             val_fraction: 0.2,
             split: SplitMode::Scene,
             outputs: Outputs::default(),
+            appearance: Appearance::default(),
             test: None,
         }
     }
@@ -320,6 +324,7 @@ impl GenerateConfig {
         in_range("ignore_below_px", self.ignore_below_px, 0.0, 1000.0)?;
         self.vehicles.validate()?;
         in_range("val_fraction", self.val_fraction, 0.0, 0.9)?;
+        self.appearance.validate()?;
         let root = self.samples_per_pixel.isqrt();
         if root * root != self.samples_per_pixel {
             return Err(Error::value(

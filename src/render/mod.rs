@@ -5,14 +5,20 @@
 //! The same input gives the same bytes on every machine: arithmetic is IEEE 754 basic operations
 //! and `libm`, rays are traced in a fixed order, and nothing depends on threads.
 
+mod appearance;
 mod film;
+mod forest;
 mod frame;
 mod maps;
+mod lens;
+mod material;
+mod openness;
 mod pose;
 mod shade;
 mod silhouette;
 mod trace;
 
+pub use appearance::{Appearance, Conditions, Range};
 pub use frame::{RenderSettings, render};
 pub use maps::{Instances, depth};
 pub use pose::{Eye, RigPose};

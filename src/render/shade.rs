@@ -2,17 +2,16 @@
 
 use glam::Vec3A;
 
-use super::trace::{Hit, Object, Stage};
-use crate::world::mesh::{Surface, Triangle, VehiclePart};
+use super::material::{Gaze, Point, SKY_FACE, point};
+use super::trace::{Object, Stage};
 use crate::world::noise::{self, fractal, mix, smooth_step};
-use crate::world::sun::Light;
-use crate::world::{ground, livery};
+use crate::world::sky::Light;
 
-/// Key of the sky and the ground among the faces of triangles.
-const SKY_FACE: u32 = 0;
-const GROUND_FACE: u32 = 1;
-/// Set in the keys of the vehicle's faces.
-const VEHICLE_FACES: u32 = 1 << 31;
+/// Half the sun's width as a tangent; half of what it is, because few samples make a wide penumbra
+/// grainy.
+const SUN_RADIUS: f32 = 0.002_3;
+/// What mirrors less than this of a share of light is not worth a ray.
+const LEAST_SHARE: f32 = 0.035;
 
 /// What a ray brings back.
 #[derive(Debug, Clone, Copy)]
@@ -21,27 +20,41 @@ pub(crate) struct Sample {
     pub light: Vec3A,
     /// Which face it comes from; an edge runs where it changes.
     pub face: u32,
+    /// How it is lit by the sun.
+    pub lit: Lit,
 }
 
-/// A surface at the point where a ray meets it.
-struct Point {
-    at: Vec3A,
-    normal: Vec3A,
-    albedo: Vec3A,
-    /// Share of light mirrored straight on, and the share of the point that mirrors at all.
-    mirror: f32,
-    gloss: f32,
-    /// Share of the sky's light that reaches it.
-    open: f32,
-    /// Leaves let some sun through.
-    translucent: bool,
+/// Whether the sun reaches a point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Lit {
+    /// The point faces away, or there is no sun.
+    Dark,
+    /// Something stands in the way.
+    Shaded,
+    /// It does.
+    Sunny,
 }
 
 /// A scene under a light.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shader<'a> {
     pub stage: &'a Stage,
-    pub light: Light,
+    pub light: &'a Light,
+    /// 0 for dry streets, 1 for puddles.
+    pub wetness: f32,
+}
+
+/// How a ray came to a point.
+#[derive(Debug, Clone, Copy)]
+struct Arrival {
+    direction: Vec3A,
+    /// Its length, metres.
+    t: f32,
+    /// Its width as a tangent.
+    angle: f32,
+    kind: RayKind,
+    /// Whether it met a plant.
+    plant: bool,
 }
 
 /// How a ray came about, which decides what is worth computing.
@@ -52,265 +65,232 @@ enum RayKind {
 }
 
 impl Shader<'_> {
-    /// What a camera ray brings back; `angle` is a pixel's width as a tangent.
-    pub fn sample(&self, origin: Vec3A, direction: Vec3A, angle: f32) -> Sample {
-        self.trace(origin, direction, angle, RayKind::Camera)
+    /// What a camera ray brings back; `angle` is a pixel's width as a tangent. Where `known` says
+    /// how the whole neighbourhood is lit, no ray asks again.
+    pub fn sample(
+        &self,
+        origin: Vec3A,
+        direction: Vec3A,
+        angle: f32,
+        known: Option<Lit>,
+    ) -> Sample {
+        self.trace(origin, direction, angle, RayKind::Camera, known)
     }
 
-    fn trace(&self, origin: Vec3A, direction: Vec3A, angle: f32, kind: RayKind) -> Sample {
+    fn trace(
+        &self,
+        origin: Vec3A,
+        direction: Vec3A,
+        angle: f32,
+        kind: RayKind,
+        known: Option<Lit>,
+    ) -> Sample {
         let Some(hit) = self.stage.nearest(origin, direction) else {
             return Sample {
                 light: self.sky(direction, angle, kind),
                 face: SKY_FACE,
+                lit: Lit::Dark,
             };
         };
-        let (point, face) = self.point(origin, direction, angle, &hit);
-        let mut light = self.reflect(&point, direction, hit.t, kind);
-        let haze = 1.0 - libm::expf(-hit.t / self.light.haze_m);
-        light += (self.light.horizon * 0.9 - light) * haze;
-        Sample { light, face }
+        let gaze = Gaze {
+            origin,
+            direction,
+            angle,
+            sun: self.light.direction,
+            wetness: if kind == RayKind::Camera {
+                self.wetness
+            } else {
+                0.0
+            },
+        };
+        let (point, face) = point(self.stage, &gaze, &hit);
+        // A plant's leaves shade each other by their openness.
+        let plant = matches!(hit.object, Object::Plant(_));
+        let ray = Arrival {
+            direction,
+            t: hit.t,
+            angle,
+            kind,
+            plant,
+        };
+        let open = self.stage.openness.at(point.at, point.normal);
+        let (sunny, lit) = self.sunshine(&point, &ray, open, known);
+        let light = self.reflect(&point, &ray, open, sunny);
+        Sample {
+            light: self.light.through_haze(light, direction, hit.t),
+            face,
+            lit,
+        }
     }
 
     fn sky(&self, direction: Vec3A, angle: f32, kind: RayKind) -> Vec3A {
         let sky = self.light.sky(direction);
-        if kind == RayKind::Mirrored || direction.z < 0.02 {
+        let clouds = self.light.air.clouds;
+        if kind == RayKind::Mirrored || direction.z < 0.01 {
             return sky;
         }
-        let sun_disc = if direction.dot(self.light.direction) > 0.9997 {
-            8.0
+        let toward_sun = direction.dot(self.light.direction);
+        let disc = if toward_sun > 0.999_93 {
+            self.light.sun * 12.0
         } else {
-            0.0
+            // The lens and the air spread the sun's light around it.
+            let near = toward_sun.max(0.0);
+            let near = near * near * near * near;
+            let near = near * near * near * near;
+            self.light.sun * (0.10 * near * near * near * near)
         };
         // Clouds on a flat layer; their detail shrinks towards the horizon with its distance.
-        let scale = 1.0 / (direction.z + 0.08);
-        let seed = self.stage.scene.target().seed;
-        let cloud = fractal(
-            direction.x * scale,
-            direction.y * scale,
-            1.6,
-            5,
-            angle * scale * scale,
-            seed,
-        );
-        let cover = smooth_step(0.05, 0.65, cloud) * smooth_step(0.02, 0.2, direction.z) * 0.75;
-        let white = self.light.horizon * 0.55 + self.light.sun * 0.22;
-        sky + (white - sky) * cover + self.light.sun * sun_disc
-    }
-
-    fn point(&self, origin: Vec3A, direction: Vec3A, angle: f32, hit: &Hit) -> (Point, u32) {
-        let at = origin + direction * hit.t;
-        let Some(triangle) = self.stage.triangle(hit) else {
-            return (self.ground(at, hit.t * angle, -direction.z), GROUND_FACE);
-        };
-        let smooth = smooth_normal(triangle, at);
-        let normal = if smooth.dot(direction) > 0.0 {
-            -smooth
-        } else {
-            smooth
-        };
-        let facing = normal.dot(direction).abs();
-        let footprint_m = hit.t * angle * stretch(facing);
-        let face = triangle.face + GROUND_FACE;
-        let (vehicle, face) = match hit.object {
-            Object::Vehicle(index) => (
-                usize::from(index),
-                (face ^ (u32::from(index) << 16)) | VEHICLE_FACES,
-            ),
-            Object::Ground | Object::City => (0, face),
-        };
-        let point = self.surface(triangle.surface, vehicle, at, normal, footprint_m);
-        (point, face)
-    }
-
-    fn ground(&self, at: Vec3A, width_m: f32, facing: f32) -> Point {
-        let albedo = ground::albedo(
-            &self.stage.scene.city.layout,
-            at.x,
-            at.y,
-            width_m * stretch(facing),
-        );
-        // Under and close beside a vehicle the sky is hidden.
-        let open = self
-            .stage
-            .scene
-            .vehicles
-            .iter()
-            .map(|vehicle| {
-                let local = vehicle.vehicle_from_world(at);
-                let [length, width, _] = vehicle.size_m.map(|v| v as f32 * 0.5);
-                let [dx, dy] = [
-                    (local.x.abs() - length * 0.93).max(0.0),
-                    (local.y.abs() - width * 0.80).max(0.0),
-                ];
-                let apart = (dx * dx + dy * dy).sqrt();
-                mix(0.12, 1.0, (apart / (apart + 0.25)).min(1.0))
-            })
-            .product();
-        Point {
-            at,
-            normal: Vec3A::Z,
-            albedo,
-            mirror: 0.0,
-            gloss: 0.0,
-            open,
-            translucent: false,
+        let scale = 1.0 / (direction.z + 0.09);
+        let seed = self.stage.scene.city.layout.seed;
+        let [x, y] = [direction.x * scale, direction.y * scale];
+        let shape = fractal(x, y, 1.7, 5, angle * scale * scale, seed);
+        let fade = smooth_step(0.01, 0.14, direction.z);
+        let overcast = self.light.air.overcast;
+        if overcast > 0.0 {
+            return sky * (1.0 + 0.22 * overcast * shape * fade);
         }
+        let edge = 0.75 - 1.15 * clouds;
+        let cover = smooth_step(edge, edge + 0.55, shape) * fade;
+        let thick = smooth_step(edge + 0.25, edge + 1.0, shape);
+        let cloud = self.light.cloud(direction, thick);
+        sky + disc * (1.0 - cover) + (cloud - sky) * (cover * 0.92)
     }
 
-    /// `vehicle` is the index of the vehicle that the surface belongs to, if to any.
-    fn surface(
+    /// Sunlight on a white surface that faces the sun, at a point, and whether it gets there.
+    fn sunshine(
         &self,
-        surface: Surface,
-        vehicle: usize,
-        at: Vec3A,
-        normal: Vec3A,
-        footprint_m: f32,
-    ) -> Point {
-        let scene = &self.stage.scene;
-        let matt = |albedo: Vec3A, open: f32| Point {
-            at,
-            normal,
-            albedo,
-            mirror: 0.0,
-            gloss: 0.0,
-            open,
-            translucent: false,
-        };
-        // Streets are canyons: the lower floors see less of the sky.
-        let canyon = mix(0.62, 1.0, smooth_step(0.0, 9.0, at.z));
-        match surface {
-            Surface::Wall(index) => {
-                let look = scene.city.buildings[usize::from(index)].wall(at, normal, footprint_m);
-                Point {
-                    mirror: 0.06,
-                    gloss: look.glass,
-                    ..matt(look.albedo, canyon)
-                }
-            }
-            Surface::Roof(index) => matt(
-                scene.city.buildings[usize::from(index)].roof(at, normal, footprint_m),
-                1.0,
-            ),
-            Surface::Foliage(tint) => foliage(tint, at, normal, footprint_m),
-            Surface::Bark => {
-                let grain = fractal(at.x * 3.0 + at.y * 3.0, at.z, 0.4, 2, footprint_m, 5);
-                matt(Vec3A::new(0.12, 0.09, 0.065) * (1.0 + 0.4 * grain), 0.8)
-            }
-            Surface::Metal => {
-                let grain = fractal(at.x + at.z, at.y - at.z, 0.8, 3, footprint_m, 11);
-                matt(Vec3A::new(0.26, 0.27, 0.28) * (1.0 + 0.25 * grain), 0.9)
-            }
-            Surface::Sign => {
-                // Each sign has a colour of its own; signs are further apart than this lattice.
-                let pick =
-                    noise::hash((at.x / 1.5).round() as i32, (at.y / 1.5).round() as i32, 21) % 3;
-                let colors = [[0.42, 0.02, 0.02], [0.02, 0.09, 0.40], [0.55, 0.55, 0.52]];
-                matt(Vec3A::from_array(colors[pick as usize]), 1.0)
-            }
-            Surface::Vehicle(part) => {
-                let vehicle = &scene.vehicles[vehicle];
-                let local = vehicle.vehicle_from_world(at);
-                let local_normal = vehicle.vehicle_direction_from_world(normal);
-                let finish = livery::finish(vehicle, part, local, local_normal, footprint_m);
-                let low = if part == VehiclePart::Wheel {
-                    0.30
+        point: &Point,
+        ray: &Arrival,
+        open: f32,
+        known: Option<Lit>,
+    ) -> (Vec3A, Lit) {
+        let light = self.light;
+        let away = !point.translucent && point.normal.dot(light.direction) <= 0.0;
+        if away || light.air.overcast > 0.95 || point.sun <= 0.0 {
+            return (Vec3A::ZERO, Lit::Dark);
+        }
+        if ray.kind == RayKind::Mirrored {
+            // What a mirror shows is not worth a ray for its shadow.
+            return (light.sun * smooth_step(0.25, 0.8, open), Lit::Sunny);
+        }
+        let lit = match known {
+            Some(known) if known != Lit::Dark => known,
+            _ => {
+                let start = if ray.plant {
+                    // Leaves are not shaded by their neighbours, which are drawn larger than life.
+                    point.at + light.direction * 0.35
                 } else {
-                    0.42
+                    point.start(ray.t)
                 };
-                let open = mix(low, 1.0, smooth_step(0.0, 0.9, at.z));
-                Point {
-                    mirror: finish.mirror,
-                    gloss: 1.0,
-                    ..matt(finish.albedo, open)
+                let toward = self.toward_sun(point.at, ray.t * ray.angle);
+                if self.stage.is_free(start, toward) {
+                    Lit::Sunny
+                } else {
+                    Lit::Shaded
                 }
             }
+        };
+        if lit == Lit::Sunny {
+            (light.sun * point.sun, lit)
+        } else {
+            (Vec3A::ZERO, lit)
         }
     }
 
-    /// Light sent back by a point: sun, sky and what it mirrors.
-    fn reflect(&self, point: &Point, direction: Vec3A, t: f32, kind: RayKind) -> Vec3A {
-        let toward_sun = point.normal.dot(self.light.direction);
-        let sunny = if point.translucent {
-            (toward_sun * 0.7 + 0.3).max(0.0)
+    /// Light sent back by a point: sun, sky, street and what it mirrors.
+    fn reflect(&self, point: &Point, ray: &Arrival, open: f32, sun: Vec3A) -> Vec3A {
+        let light = self.light;
+        let normal = point.normal;
+        let toward_sun = normal.dot(light.direction);
+        let slant = if point.translucent {
+            // A good part of what falls on the other side comes through.
+            toward_sun.max(0.0) * 0.75 + toward_sun.abs() * 0.22 + 0.10
         } else {
             toward_sun.max(0.0)
         };
-        // Starting a little off the surface keeps a point from shading itself.
-        let start = point.at + point.normal * (0.004 + t * 4e-5);
-        // What a curved mirror shows is small: shadows in it are not worth their rays.
-        let lit = sunny > 0.0
-            && (kind == RayKind::Mirrored || self.stage.is_free(start, self.light.direction));
-        let sun = if lit { self.light.sun } else { Vec3A::ZERO };
-        let diffuse = point.albedo * (sun * sunny + self.light.ambient(point.normal) * point.open);
-        if point.gloss <= 0.0 || kind == RayKind::Mirrored {
-            return diffuse;
+        let diffuse = point.albedo * (sun * slant + self.around(normal, open, point.open));
+        let mut sum = diffuse + point.glow;
+        if ray.kind == RayKind::Mirrored {
+            return sum;
         }
-        let facing = -direction.dot(point.normal);
-        let mirrored = direction + point.normal * (2.0 * facing);
+        let facing = -ray.direction.dot(point.mirror_normal);
+        let mirrored = ray.direction + point.mirror_normal * (2.0 * facing);
+        if point.flakes.max_element() > 0.0 {
+            sum += self.flakes(point, mirrored, sun, open);
+        }
+        if point.gloss <= 0.0 {
+            return sum;
+        }
         let grazing = (1.0 - facing).clamp(0.0, 1.0);
         let grazing_2 = grazing * grazing;
-        let share = point.mirror + (1.0 - point.mirror) * grazing_2 * grazing_2 * grazing;
-        let around = if point.gloss >= 1.0 {
-            self.trace(start, mirrored, 0.02, RayKind::Mirrored).light
+        let share =
+            point.gloss * (point.mirror + (1.0 - point.mirror) * grazing_2 * grazing_2 * grazing);
+        let seen = if share > LEAST_SHARE && mirrored.dot(normal) > 0.0 {
+            let angle = ray.angle.max(0.012);
+            self.trace(point.start(ray.t), mirrored, angle, RayKind::Mirrored, None)
+                .light
         } else {
-            self.street_reflection(mirrored)
+            self.street(mirrored, open)
         };
-        let mut highlight = mirrored.dot(self.light.direction).max(0.0);
-        for _ in 0..7 {
+        let mut highlight = mirrored.dot(light.direction).max(0.0);
+        for _ in 0..8 {
             highlight *= highlight;
         }
-        let share = share * point.gloss;
-        diffuse * (1.0 - share) + around * share + sun * (highlight * share * 25.0)
+        sum * (1.0 - share) + seen * share + sun * (highlight * share * 40.0).min(30.0)
     }
 
-    /// What a shop or office window mirrors, without a ray: sky above, the other side of the street
-    /// below.
-    fn street_reflection(&self, mirrored: Vec3A) -> Vec3A {
+    /// Diffuse light from everywhere but the sun on a white surface: the open part of the sky, the
+    /// ground, and the walls that hide the rest of the sky.
+    fn around(&self, normal: Vec3A, open: f32, nearby: f32) -> Vec3A {
+        let light = self.light;
+        let up = 0.5 + 0.5 * normal.z;
+        let sky = light.skylight(normal) * open;
+        // The sun reaches the ground of a canyon for a part of its width only.
+        let ground = light.ground * mix(0.30, 0.95, open * open) * (1.0 - up);
+        let walls = light.ground * (0.42 * (1.0 - open) * (0.35 + 0.65 * up));
+        (sky + ground + walls) * nearby
+    }
+
+    /// The broad highlight of metal flakes.
+    fn flakes(&self, point: &Point, mirrored: Vec3A, sun: Vec3A, open: f32) -> Vec3A {
+        let near = mirrored.dot(self.light.direction).max(0.0);
+        let near_4 = near * near * near * near;
+        let near_16 = near_4 * near_4 * near_4 * near_4;
+        let sky = self.light.skylight(mirrored) * mix(0.6, 1.0, open);
+        let street = self.light.ground * (0.5 - 0.5 * mirrored.z);
+        point.flakes * ((sky + street) * point.open + sun * (near_16 * 2.2 + near_4 * 0.25))
+    }
+
+    /// What the street around shows without a ray: sky above, the other side of it below.
+    fn street(&self, mirrored: Vec3A, open: f32) -> Vec3A {
         let sky = self.light.sky(mirrored);
-        let street = self.light.ambient(Vec3A::Z) * 0.28;
-        street + (sky - street) * smooth_step(0.05, 0.35, mirrored.z)
+        let street = self.light.ground * 0.9;
+        street + (sky - street) * smooth_step(0.75 - 0.8 * open, 1.1 - 0.8 * open, mirrored.z)
     }
-}
 
-/// Leaves: clumps of light and shade with normals in all directions.
-fn foliage(tint: u16, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Point {
-    let seed = u32::from(tint) * 31 + 7;
-    let [u, v] = [at.x + 0.61 * at.z, at.y - 0.73 * at.z];
-    let clumps = fractal(u, v, 0.9, 4, footprint_m, seed);
-    let tilt = Vec3A::new(
-        fractal(u, v, 0.5, 2, footprint_m, seed ^ 1),
-        fractal(u, v, 0.5, 2, footprint_m, seed ^ 2),
-        0.2,
-    );
-    let warm = noise::unit(noise::hash(i32::from(tint), 3, 8));
-    let green = Vec3A::new(0.045 + 0.06 * warm, 0.095 + 0.015 * warm, 0.026);
-    Point {
-        at,
-        normal: (normal + tilt * 0.8).normalize_or_zero(),
-        albedo: green * (1.0 + 0.6 * clumps).max(0.1),
-        mirror: 0.0,
-        gloss: 0.0,
-        open: mix(0.35, 1.0, smooth_step(-0.8, 0.9, normal.z)) * (1.0 + 0.3 * clumps).max(0.2),
-        translucent: true,
+    /// Towards a point of the sun's disc, which soft shadows need: which one depends on the place in
+    /// the world alone, so that both eyes see the same grain.
+    fn toward_sun(&self, at: Vec3A, footprint_m: f32) -> Vec3A {
+        // The largest power of two that a pixel holds, as the lattice's cell.
+        let cell = f32::from_bits(footprint_m.max(0.004).to_bits() & 0x7f80_0000);
+        let [x, y, z] = (at / cell).to_array().map(|v| v.floor() as i32);
+        // Steps of the plastic number's powers (Roberts 2018) spread evenly over neighbours, so that
+        // the samples of a pixel never cluster as random ones do.
+        let steps = |a: u32, b: u32| {
+            let [x, y, z] = [x, y, z].map(i32::cast_unsigned);
+            let sum = x
+                .wrapping_mul(a)
+                .wrapping_add(y.wrapping_mul(b))
+                .wrapping_add(z.wrapping_mul(0x6a09_e667));
+            (noise::unit(sum) * 2.0 - 1.0) * SUN_RADIUS
+        };
+        let sun = self.light.direction;
+        let side = Vec3A::new(-sun.y, sun.x, 0.0).normalize_or(Vec3A::X);
+        let up = sun.cross(side);
+        let [round, high] = [
+            steps(0xc13f_a9a9, 0x91e1_0da6),
+            steps(0x9e37_79b9, 0x6a3b_1c55),
+        ];
+        (sun + side * round + up * high).normalize()
     }
-}
-
-/// How much longer than wide a pixel's footprint is taken to be on a surface seen at an angle.
-///
-/// The square root splits the difference between blur and flicker.
-fn stretch(facing: f32) -> f32 {
-    1.0 / facing.max(0.04).sqrt()
-}
-
-/// The shading normal at a point of a triangle.
-fn smooth_normal(triangle: &Triangle, at: Vec3A) -> Vec3A {
-    let [a, b, c] = triangle.vertices;
-    let [na, nb, nc] = triangle.normals;
-    let (e1, e2, s) = (b - a, c - a, at - a);
-    let [d11, d12, d22] = [e1.dot(e1), e1.dot(e2), e2.dot(e2)];
-    let [d1, d2] = [s.dot(e1), s.dot(e2)];
-    let scale = 1.0 / (d11 * d22 - d12 * d12);
-    let v = (d22 * d1 - d12 * d2) * scale;
-    let w = (d11 * d2 - d12 * d1) * scale;
-    (na * (1.0 - v - w) + nb * v + nc * w).normalize_or(Vec3A::Z)
 }

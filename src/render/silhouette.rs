@@ -305,7 +305,7 @@ mod tests {
                         .nearest(origin, direction)
                         .and_then(|hit| match hit.object {
                             Object::Vehicle(index) => Some(index),
-                            Object::Ground | Object::City => None,
+                            Object::Ground | Object::City | Object::Plant(_) => None,
                         }),
                 );
             }

@@ -6,8 +6,11 @@ use obvhs::cwbvh::CwBvh;
 use obvhs::cwbvh::builder::build_cwbvh_from_tris;
 use obvhs::ray::{Ray, RayHit};
 
+use super::forest::Forest;
+use super::openness::Openness;
 use crate::world::Scene;
 use crate::world::mesh::Triangle;
+use crate::world::tree::Plant;
 
 /// Barycentric coordinates may leave the triangle by this much, so that rays cannot slip through
 /// between two triangles that share an edge.
@@ -22,6 +25,8 @@ pub(crate) enum Object {
     City,
     /// A vehicle by its index in the scene.
     Vehicle(u16),
+    /// A tree or bush, by its index in the forest.
+    Plant(u32),
 }
 
 /// Where a ray hits.
@@ -37,12 +42,14 @@ pub(crate) struct Hit {
 /// A scene made ready for tracing.
 pub struct Stage {
     pub(crate) scene: Scene,
+    pub(crate) openness: Openness,
     /// City and vehicles together.
     all: Tree,
     /// What each triangle of `all` belongs to.
     objects: Vec<Object>,
     /// Each vehicle alone.
     vehicles: Vec<Tree>,
+    forest: Forest,
 }
 
 impl std::fmt::Debug for Stage {
@@ -56,15 +63,16 @@ impl std::fmt::Debug for Stage {
 }
 
 /// Triangles under a bounding volume hierarchy, in the order of its leaves.
-struct Tree {
+pub(super) struct Tree {
     bvh: CwBvh,
     /// A corner and the two edges from it.
     edges: Vec<[Vec3A; 3]>,
     triangles: Vec<Triangle>,
+    bounds: [Vec3A; 2],
 }
 
 impl Tree {
-    fn new(triangles: &[Triangle]) -> Self {
+    pub fn new(triangles: &[Triangle]) -> Self {
         let bare: Vec<obvhs::triangle::Triangle> = triangles
             .iter()
             .map(|t| obvhs::triangle::Triangle {
@@ -90,10 +98,15 @@ impl Tree {
                 [a, b - a, c - a]
             })
             .collect();
+        let corners = triangles.iter().flat_map(|t| t.vertices);
+        let bounds = corners.fold([Vec3A::INFINITY, Vec3A::NEG_INFINITY], |[low, high], v| {
+            [low.min(v), high.max(v)]
+        });
         Self {
             bvh,
             edges,
             triangles,
+            bounds,
         }
     }
 
@@ -117,16 +130,43 @@ impl Tree {
         }
     }
 
-    fn nearest(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<(f32, u32)> {
+    /// Distance and triangle that a ray hits first.
+    pub fn nearest(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<(f32, u32)> {
         let ray = Ray::new(origin, direction, NEAREST_M, limit);
+        if !self.is_near(&ray) {
+            return None;
+        }
         let mut hit = RayHit::none();
         self.bvh
             .ray_traverse(ray, &mut hit, |ray, index| self.intersect(ray, index))
             .then_some((hit.t, hit.primitive_id))
     }
 
-    fn is_free(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
+    /// A triangle by its place in the hierarchy.
+    pub fn triangle(&self, index: u32) -> &Triangle {
+        &self.triangles[index as usize]
+    }
+
+    /// Corners of the box around all triangles.
+    pub fn bounds(&self) -> [Vec3A; 2] {
+        self.bounds
+    }
+
+    /// Whether a ray may pass through the box: a quick test for small things in a large scene.
+    fn is_near(&self, ray: &Ray) -> bool {
+        let [a, b] = self
+            .bounds
+            .map(|corner| (corner - ray.origin) * ray.inv_direction);
+        let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
+        enter <= leave && leave >= 0.0 && enter <= ray.tmax
+    }
+
+    /// Whether a ray hits nothing within `limit`.
+    pub fn is_free(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
         let ray = Ray::new(origin, direction, NEAREST_M, limit);
+        if !self.is_near(&ray) {
+            return true;
+        }
         self.bvh
             .ray_traverse_miss(ray, |ray, index| self.intersect(ray, index))
     }
@@ -152,11 +192,15 @@ impl Stage {
             .iter()
             .map(|&index| objects[index as usize])
             .collect();
+        let forest = Forest::new(&scene.city.plants);
+        let [x, y, _] = scene.target().center_world.map(|v| v as f32);
         Self {
+            openness: Openness::new(&scene.city, [x, y]),
             scene,
             all,
             objects,
             vehicles,
+            forest,
         }
     }
 
@@ -191,13 +235,26 @@ impl Stage {
             });
         }
         if let Some((t, triangle)) = self.all.nearest(origin, direction, limit) {
+            limit = t;
             nearest = Some(Hit {
                 t,
                 object: self.objects[triangle as usize],
                 triangle,
             });
         }
+        if let Some((t, plant, triangle)) = self.forest.nearest(origin, direction, limit) {
+            nearest = Some(Hit {
+                t,
+                object: Object::Plant(plant),
+                triangle,
+            });
+        }
         nearest
+    }
+
+    /// A plant by its index.
+    pub(crate) fn plant(&self, index: u32) -> &Plant {
+        self.forest.plant(index)
     }
 
     /// One vehicle alone: distance along the ray, if it hits.
@@ -214,7 +271,7 @@ impl Stage {
 
     /// Whether nothing but the ground stands within `limit` metres along a ray.
     pub(crate) fn is_free_until(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
-        self.all.is_free(origin, direction, limit)
+        self.all.is_free(origin, direction, limit) && self.forest.is_free(origin, direction, limit)
     }
 
     /// Whether nothing at all stands in the way, however far.
@@ -222,11 +279,12 @@ impl Stage {
         self.is_free_until(origin, direction, f32::INFINITY)
     }
 
-    /// The triangle that was hit; None for the ground.
+    /// The triangle that was hit, a plant's in the axes of its template; None for the ground.
     pub(crate) fn triangle(&self, hit: &Hit) -> Option<&Triangle> {
         match hit.object {
             Object::Ground => None,
             Object::City | Object::Vehicle(_) => Some(&self.all.triangles[hit.triangle as usize]),
+            Object::Plant(plant) => Some(self.forest.triangle(plant, hit.triangle)),
         }
     }
 

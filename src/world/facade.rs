@@ -1,43 +1,34 @@
-//! What buildings look like: walls with windows, and roofs.
+//! What buildings look like: walls with windows, shop fronts and roofs.
+//!
+//! Windows are recessed: the glass lies behind the wall's plane, so that a slanted ray meets the
+//! reveal first and the lintel throws its shadow on the pane. Nothing of it is a triangle; the ray's
+//! direction shifts the place that is looked up, which gives both eyes their true parallax.
+
+mod masonry;
+mod shop;
+mod style;
 
 use glam::Vec3A;
-use rand::{Rng, RngExt as _};
 
-use super::noise::{self, fractal, mix, stripes};
+use super::noise::{self, mix, stripes};
+use style::WallTexture;
+pub(crate) use style::{Style, shop_color};
 
-/// One building: a box with a style.
+/// One building: a box with a style, and perhaps a narrower box on top.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Building {
     /// Corner with the lowest coordinates.
     pub low: [f32; 2],
     /// Corner with the highest coordinates.
     pub high: [f32; 2],
-    /// Height of the walls, metres.
+    /// Height over the ground at which its walls begin, metres; above 0 for a set-back storey.
+    pub base: f32,
+    /// Height of the walls' top, metres.
     pub height: f32,
     /// Height of the ridge over the walls, metres; 0 for a flat roof.
     pub ridge: f32,
-    style: Style,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Style {
-    wall: Vec3A,
-    frame: Vec3A,
-    roof: Vec3A,
-    texture: WallTexture,
-    floor_m: f32,
-    bay_m: f32,
-    /// Part of a bay's width, and of a floor's height, that is window.
-    window: [f32; 2],
-    seed: u32,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum WallTexture {
-    Plaster,
-    Brick,
-    Panels,
-    Curtain,
+    /// Its walls and windows.
+    pub style: Style,
 }
 
 /// What a point of a building sends back.
@@ -45,256 +36,266 @@ enum WallTexture {
 pub(crate) struct Look {
     /// Diffuse reflectance.
     pub albedo: Vec3A,
-    /// Share of the pixel that is glass and mirrors the sky.
+    /// Share of the pixel that is glass and mirrors the street.
     pub glass: f32,
+    /// Tilt of the pane, along the wall and up: no two mirror quite the same.
+    pub tilt: [f32; 2],
+    /// Share of the sunlight that reaches it past ledges and reveals.
+    pub sun: f32,
+    /// Share of the sky's light that reaches it past them.
+    pub open: f32,
 }
 
-const WALLS: [[f32; 3]; 12] = [
-    [0.46, 0.42, 0.35],
-    [0.52, 0.50, 0.46],
-    [0.40, 0.26, 0.18],
-    [0.34, 0.17, 0.12],
-    [0.28, 0.27, 0.26],
-    [0.56, 0.47, 0.31],
-    [0.24, 0.12, 0.09],
-    [0.60, 0.58, 0.54],
-    [0.38, 0.40, 0.42],
-    [0.50, 0.36, 0.27],
-    [0.33, 0.37, 0.33],
-    [0.58, 0.53, 0.44],
-];
+/// The ray that looks at a wall, and where the light comes from.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sight {
+    /// Unit direction of the ray.
+    pub direction: Vec3A,
+    /// Towards the sun.
+    pub sun: Vec3A,
+    /// Width of the pixel on the wall, metres.
+    pub footprint_m: f32,
+}
+
+/// Buildings lower than this have no ground floor of its own kind, metres.
+const LOW_M: f32 = 6.9;
+
+/// Where a building's windows are along one wall.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Bays {
+    /// Width of a bay: a whole number of them fills the wall.
+    pub bay_m: f32,
+    /// Number of bays.
+    pub count: u32,
+}
+
+/// One shop of a wall.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Shop {
+    /// Where it begins along the wall, metres.
+    pub start: f32,
+    /// Its width, metres.
+    pub width: f32,
+    /// Colours and letters follow from it.
+    pub seed: u32,
+}
+
+/// A shop takes as many bays as make it four metres wide.
+fn shop_width(bay_m: f32) -> f32 {
+    bay_m * (4.2 / bay_m).ceil().max(1.0)
+}
 
 impl Building {
-    /// A building of this footprint and height in a random style.
-    pub fn draw(
-        low: [f32; 2],
-        high: [f32; 2],
-        height: f32,
-        ridge: f32,
-        rng: &mut impl Rng,
-    ) -> Self {
-        let tall = height > 16.0;
-        let texture = match rng.random_range(0..10_u32) {
-            0..4 => WallTexture::Plaster,
-            4..7 => WallTexture::Brick,
-            7..9 if tall => WallTexture::Curtain,
-            _ => WallTexture::Panels,
-        };
-        let curtain = texture == WallTexture::Curtain;
-        let wall = match texture {
-            WallTexture::Brick => WALLS[[2, 3, 6, 9][rng.random_range(0..4_usize)]],
-            _ => WALLS[rng.random_range(0..WALLS.len())],
-        };
-        let frame = if rng.random_bool(0.6) { 0.62 } else { 0.07 };
-        let roof = if ridge > 0.0 {
-            [
-                [0.30, 0.11, 0.065],
-                [0.20, 0.085, 0.06],
-                [0.11, 0.11, 0.115],
-                [0.17, 0.125, 0.095],
-            ][rng.random_range(0..4_usize)]
-        } else {
-            [
-                [0.22, 0.215, 0.20],
-                [0.30, 0.29, 0.27],
-                [0.12, 0.12, 0.125],
-                [0.26, 0.23, 0.19],
-            ][rng.random_range(0..4_usize)]
-        };
-        let style = Style {
-            wall: Vec3A::from_array(wall) * rng.random_range(0.8..1.15_f32),
-            frame: Vec3A::splat(frame),
-            roof: Vec3A::from_array(roof),
-            texture,
-            floor_m: rng.random_range(2.9..3.7_f32),
-            bay_m: if curtain {
-                1.6
-            } else {
-                rng.random_range(2.2..4.2_f32)
-            },
-            window: if curtain {
-                [0.93, 0.80]
-            } else {
-                [
-                    rng.random_range(0.32..0.62_f32),
-                    rng.random_range(0.42..0.62_f32),
-                ]
-            },
-            seed: rng.random(),
-        };
-        Self {
-            low,
-            high,
-            height,
-            ridge,
-            style,
+    /// The bays of a wall of this length.
+    pub fn bays(&self, length: f32) -> Bays {
+        let count = (length / self.style.bay_m).floor().max(1.0);
+        Bays {
+            bay_m: length / count,
+            count: count as u32,
         }
     }
 
-    /// The wall at a point, seen with this footprint; `normal` tells which of the four walls it is.
-    pub fn wall(&self, point: Vec3A, normal: Vec3A, footprint_m: f32) -> Look {
-        let Style {
-            floor_m,
-            bay_m,
-            window,
-            seed,
-            ..
-        } = self.style;
-        let faces_x = normal.x.abs() > normal.y.abs();
-        let (u, length) = if faces_x {
-            (point.y - self.low[1], self.high[1] - self.low[1])
-        } else {
-            (point.x - self.low[0], self.high[0] - self.low[0])
-        };
-        let side = seed.wrapping_add(u32::from(faces_x) * 2 + u32::from(normal.x + normal.y > 0.0));
-        // Whole bays, so that no window is cut by a corner.
-        let bay_m = length / (length / bay_m).floor().max(1.0);
-        let z = point.z;
-        let ground_floor = z < floor_m && self.height > 8.0;
-        let [part_u, part_z] = if ground_floor { [0.82, 0.74] } else { window };
-        let top_margin = self.height - floor_m * (self.height / floor_m).floor();
-        let under_eaves = z > self.height - top_margin.max(0.35);
+    /// The shops along a wall of this length, which is one of four.
+    pub fn shops(&self, length: f32, side: u32) -> Vec<Shop> {
+        let width = shop_width(self.bays(length).bay_m);
+        let seed = self.style.seed.wrapping_add(side);
+        (0..(length / width).ceil() as i32)
+            .map(|number| Shop {
+                start: number as f32 * width,
+                width,
+                seed: noise::hash(number, 7, seed),
+            })
+            .collect()
+    }
 
-        let start_u = 0.5 * bay_m * (1.0 - part_u);
-        let start_z = floor_m * (1.0 - part_z) * if ground_floor { 0.25 } else { 0.6 };
-        let spread = |border: f32| {
+    /// Height at which the floors above the ground floor begin.
+    pub fn first_floor(&self) -> f32 {
+        if self.base > 0.0 || self.height < LOW_M {
+            self.base
+        } else {
+            self.style.ground_m
+        }
+    }
+
+    /// Number of floors above the ground floor.
+    pub fn floors(&self) -> u32 {
+        ((self.height - self.first_floor() - 0.3) / self.style.floor_m).max(0.0) as u32
+    }
+
+    /// Whether a window has a balcony; its bay, floor and wall (0 to 3).
+    pub fn has_balcony(&self, bay: u32, floor: u32, side: u32) -> bool {
+        let column = noise::hash(bay as i32, side as i32, self.style.seed ^ 0xba1c);
+        self.style.balconies && column.is_multiple_of(3) && floor > 0
+    }
+
+    /// The wall at a point; `normal` tells which of the four walls it is.
+    pub fn wall(&self, point: Vec3A, normal: Vec3A, sight: &Sight) -> Look {
+        let style = &self.style;
+        let faces_x = normal.x.abs() > normal.y.abs();
+        let [i, j] = if faces_x { [1, 0] } else { [0, 1] };
+        let (u, length) = (point[i] - self.low[i], self.high[i] - self.low[i]);
+        let side = u32::from(faces_x) * 2 + u32::from(normal.x + normal.y > 0.0);
+        let inward = (sight.direction[j] * normal[j]).abs().max(0.12);
+        let along = [sight.direction[i] / inward, sight.direction.z / inward];
+        let toward_sun = (sight.sun[j] * normal[j]).max(0.05);
+        let sun = [sight.sun[i] / toward_sun, sight.sun.z / toward_sun];
+        let spot = Spot {
+            u,
+            z: point.z,
+            along,
+            sun,
+            seed: style.seed.wrapping_add(side),
+            footprint_m: sight.footprint_m,
+        };
+        let bays = self.bays(length);
+        let first_floor = self.first_floor();
+        if point.z < first_floor && self.base <= 0.0 {
+            if style.shops {
+                return self.shop(&spot, bays);
+            }
+            return self.windows(&spot, bays, 0.0, style.ground_m, [style.window[0], 0.55]);
+        }
+        let floors = self.floors() as f32;
+        if floors < 1.0 {
+            // One low storey.
+            let high = (self.height - self.base).min(style.floor_m);
+            if point.z > self.base + high || high < 2.3 {
+                return self.plain(&spot);
+            }
+            return self.windows(&spot, bays, self.base, high, style.window);
+        }
+        if point.z > first_floor + floors * style.floor_m {
+            return self.plain(&spot);
+        }
+        self.windows(&spot, bays, first_floor, style.floor_m, style.window)
+    }
+
+    fn plain(&self, spot: &Spot) -> Look {
+        Look {
+            albedo: self.wall_color(spot),
+            glass: 0.0,
+            tilt: [0.0; 2],
+            sun: 1.0,
+            open: 1.0,
+        }
+    }
+
+    /// A wall with rows of windows from `base` upwards.
+    fn windows(&self, spot: &Spot, bays: Bays, base: f32, floor_m: f32, window: [f32; 2]) -> Look {
+        let style = &self.style;
+        let Spot {
+            u, z, footprint_m, ..
+        } = *spot;
+        let z = z - base;
+        let bay_m = bays.bay_m;
+        let curtain = style.texture == WallTexture::Curtain;
+        let [wide, high] = [bay_m * window[0], floor_m * window[1]];
+        let start = [
+            0.5 * (bay_m - wide),
+            (floor_m - high) * if curtain { 0.5 } else { 0.55 },
+        ];
+        let cover = |u: f32, z: f32, border: f32| {
             stripes(
                 u,
                 bay_m,
-                start_u - border,
-                bay_m * part_u + 2.0 * border,
+                start[0] - border,
+                wide + 2.0 * border,
                 footprint_m,
             ) * stripes(
                 z,
                 floor_m,
-                start_z - border,
-                floor_m * part_z + 2.0 * border,
+                start[1] - border,
+                high + 2.0 * border,
                 footprint_m,
             )
         };
-        let blank = under_eaves || self.height < 2.5;
-        let glass = if blank { 0.0 } else { spread(0.0) };
-        let framed = if blank { 0.0 } else { spread(0.09) };
-        // Glazing bars split a window in two.
-        let bar = stripes(u, bay_m, 0.5 * bay_m - 0.035, 0.07, footprint_m);
-        let glass = glass * (1.0 - bar);
-
-        let cell = noise::hash(
-            (u / bay_m).floor() as i32,
-            (z / floor_m).floor() as i32,
-            side,
-        );
-        let vivid = (1.5 - footprint_m / bay_m).clamp(0.0, 1.0);
-        let room = self.room(cell, u, z) * vivid + Vec3A::new(0.075, 0.08, 0.085) * (1.0 - vivid);
-        let wall = self.wall_color(u, z, side, footprint_m);
-        let albedo =
-            wall * (1.0 - framed) + self.style.frame * (framed - glass).max(0.0) + room * glass;
-        Look { albedo, glass }
-    }
-
-    /// What is behind a window: mostly darkness, sometimes blinds or curtains.
-    fn room(&self, cell: u32, u: f32, z: f32) -> Vec3A {
-        match cell % 7 {
-            0 => Vec3A::new(0.38, 0.36, 0.31),
-            1 => Vec3A::new(0.28, 0.24, 0.18),
-            2 => {
-                // Blinds let down to a random height.
-                let blind = (z / self.style.floor_m).fract() > 0.3 + 0.5 * noise::unit(cell ^ 0x61);
-                Vec3A::splat(if blind { 0.42 } else { 0.04 })
-            }
-            _ => Vec3A::new(0.035, 0.04, 0.05) * (0.6 + noise::value(u * 1.3, z * 1.3, cell)),
+        let opening = cover(u, z, 0.0);
+        let mut wall = self.wall_color(spot);
+        if style.surround && opening < 1.0 {
+            let around = cover(u, z, 0.13) - opening;
+            wall = wall + (style.stone - wall) * around.clamp(0.0, 1.0);
         }
-    }
-
-    fn wall_color(&self, u: f32, z: f32, side: u32, footprint_m: f32) -> Vec3A {
-        let Style {
-            wall,
-            texture,
-            floor_m,
-            ..
-        } = self.style;
-        let dirt = fractal(u, z, 4.0, 4, footprint_m, side);
-        let base = wall * (1.0 + 0.2 * dirt);
-        match texture {
-            WallTexture::Plaster => {
-                let grain = fractal(u, z, 0.35, 3, footprint_m, side ^ 0x13);
-                let ledge = stripes(z, floor_m, 0.0, 0.14, footprint_m);
-                base * (1.0 + 0.16 * grain) * (1.0 + 0.22 * ledge)
-            }
-            WallTexture::Brick => {
-                let row = (z / 0.08).floor();
-                let shifted = u + 0.11 * (row % 2.0);
-                let mortar = stripes(z, 0.08, 0.0, 0.012, footprint_m).max(stripes(
-                    shifted,
-                    0.22,
-                    0.0,
-                    0.012,
-                    footprint_m,
-                ));
-                let brick = noise::unit(noise::hash(
-                    (shifted / 0.22).floor() as i32,
-                    row as i32,
-                    side,
-                ));
-                let tint = 0.45 * (brick - 0.5) * (1.4 - footprint_m / 0.15).clamp(0.0, 1.0);
-                // Bonds of many bricks keep some contrast when single bricks are too small to see.
-                let bond = 0.22 * fractal(u, z, 1.3, 2, footprint_m, side ^ 0x15);
-                base * (1.0 + tint + bond) * (1.0 - mortar) + Vec3A::splat(0.34) * mortar
-            }
-            WallTexture::Panels => {
-                let joints = stripes(u, 2.4, 0.0, 0.05, footprint_m).max(stripes(
-                    z,
-                    floor_m,
-                    0.0,
-                    0.06,
-                    footprint_m,
-                ));
-                let panel = noise::hash(
-                    (u / 2.4).floor() as i32,
-                    (z / floor_m).floor() as i32,
-                    side ^ 0x17,
-                );
-                base * (0.92 + 0.16 * noise::unit(panel)) * (1.0 - 0.5 * joints)
-            }
-            WallTexture::Curtain => base * 0.55,
+        if style.shutters && opening < 1.0 {
+            let leaf = wide * 0.48;
+            let beside = stripes(u, bay_m, start[0] - leaf, wide + 2.0 * leaf, footprint_m)
+                * stripes(z, floor_m, start[1], high, footprint_m)
+                - opening;
+            let slats = 0.75 + 0.25 * stripes(z, 0.12, 0.0, 0.06, footprint_m);
+            let paint = shop_color(style.seed >> 3) * 1.2 + Vec3A::splat(0.02);
+            wall = wall + (paint * slats - wall) * beside.clamp(0.0, 1.0);
         }
-    }
-
-    /// The roof at a point.
-    pub fn roof(&self, point: Vec3A, normal: Vec3A, footprint_m: f32) -> Vec3A {
-        let Style { roof, seed, .. } = self.style;
-        let stains = fractal(point.x, point.y, 5.0, 3, footprint_m, seed);
-        if self.ridge > 0.0 {
-            // Rows of tiles run level, so they repeat with height.
-            let slope = (1.0 - normal.z * normal.z).sqrt().max(0.2);
-            let rows = stripes(point.z / slope, 0.33, 0.0, 0.07, footprint_m);
-            let along = if normal.x.abs() > normal.y.abs() {
-                point.y
-            } else {
-                point.x
+        let mut sun = 1.0;
+        if style.ledge {
+            let edge = stripes(z, floor_m, 0.0, 0.16, footprint_m);
+            wall = wall + (style.stone - wall) * edge;
+            let drop = (0.14 * spot.sun[1]).clamp(0.0, 1.2);
+            sun = 1.0 - stripes(z, floor_m, floor_m - drop, drop, footprint_m);
+        }
+        if opening <= 0.0 {
+            return Look {
+                albedo: wall,
+                glass: 0.0,
+                tilt: [0.0; 2],
+                sun,
+                open: 1.0,
             };
-            let columns = stripes(along, 0.26, 0.0, 0.04, footprint_m);
-            let tile = noise::hash(
-                (point.z / slope / 0.33).floor() as i32,
-                (along / 0.26).floor() as i32,
-                seed,
-            );
-            let tint = (noise::unit(tile) - 0.5) * (1.4 - footprint_m / 0.3).clamp(0.0, 1.0);
-            return roof * (1.0 + 0.3 * stains + 0.5 * tint) * (1.0 - 0.5 * rows.max(columns));
         }
-        let gravel = fractal(point.x, point.y, 0.6, 3, footprint_m, seed ^ 0x3);
-        let sheets = stripes(point.x, 1.9, 0.0, 0.05, footprint_m);
-        let edge = [0, 1]
-            .map(|i| (point[i] - self.low[i]).min(self.high[i] - point[i]))
-            .into_iter()
-            .fold(f32::INFINITY, f32::min);
-        let flat = roof * (1.0 + 0.3 * stains + 0.22 * gravel) * (1.0 - 0.25 * sheets);
-        // Parapet capping along the edge.
-        let capping = if edge < 0.35 { 1.0 } else { 0.0 };
-        Vec3A::new(
-            mix(flat.x, 0.42, capping),
-            mix(flat.y, 0.41, capping),
-            mix(flat.z, 0.39, capping),
-        )
+        // From afar a recess is smaller than a pixel, and its shift would only flicker.
+        let depth = style.recess_m * (1.3 - 2.0 * footprint_m).clamp(0.0, 1.0);
+        let (cell_u, cell_z) = ((u / bay_m).floor(), (z / floor_m).floor());
+        let cell = noise::hash(cell_u as i32, cell_z as i32, spot.seed);
+        let clamp_u = |v: f32| v.clamp(cell_u * bay_m, (cell_u + 1.0) * bay_m);
+        let clamp_z = |v: f32| v.clamp(cell_z * floor_m, (cell_z + 1.0) * floor_m);
+        let (pane_u, pane_z) = (
+            clamp_u(u + spot.along[0] * depth),
+            clamp_z(z + spot.along[1] * depth),
+        );
+        let behind = opening * cover(pane_u, pane_z, 0.0);
+        let (out_u, out_z) = (
+            clamp_u(pane_u + spot.sun[0] * depth),
+            clamp_z(pane_z + spot.sun[1] * depth),
+        );
+        let shine = cover(out_u, out_z, 0.0);
+        // Frame and glazing bars.
+        let mut glass = opening * cover(pane_u, pane_z, if curtain { -0.03 } else { -0.065 });
+        let part = wide / style.panes;
+        if style.panes > 1.0 {
+            glass *= 1.0 - stripes(pane_u - start[0], bay_m, part - 0.03, 0.06, footprint_m);
+            glass *= 1.0 - stripes(pane_z - start[1], floor_m, high * 0.7, 0.05, footprint_m);
+        }
+        let vivid = (1.5 - footprint_m / bay_m).clamp(0.0, 1.0);
+        let room = if vivid > 0.0 {
+            let local = [pane_u - cell_u * bay_m, pane_z - cell_z * floor_m];
+            let seen = self.room(cell, local, [bay_m, floor_m], spot);
+            let mean = style.tint * 1.5 + 0.03;
+            mean + (seen - mean) * vivid
+        } else {
+            style.tint * 1.5 + 0.03
+        };
+        let frame = (behind - glass).max(0.0);
+        let reveal = (opening - behind).max(0.0);
+        let albedo =
+            wall * (1.0 - opening) + wall * (reveal * 0.8) + style.frame * frame + room * glass;
+        let wobble = |bits: u32| ((bits & 255) as f32 / 127.5 - 1.0) * 0.006;
+        Look {
+            albedo,
+            glass,
+            tilt: [wobble(cell >> 7), wobble(cell >> 15)],
+            sun: sun * mix(1.0, shine, opening),
+            open: 1.0 - 0.35 * opening,
+        }
     }
+}
+
+/// A place on a wall and the slopes of ray and sun there.
+#[derive(Debug, Clone, Copy)]
+struct Spot {
+    u: f32,
+    z: f32,
+    /// How far a ray goes along the wall and up for every metre inwards.
+    along: [f32; 2],
+    /// How far sunlight comes from along the wall and from above for every metre outwards.
+    sun: [f32; 2],
+    seed: u32,
+    footprint_m: f32,
 }

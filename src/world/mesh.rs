@@ -11,14 +11,22 @@ pub(crate) enum Surface {
     Wall(u16),
     /// Roof of a building, by its index in the city.
     Roof(u16),
+    /// Cornices, parapets and balconies of a building, by its index in the city.
+    Stone(u16),
+    /// Striped cloth over a shop window, by the shop's number.
+    Awning(u16),
     /// Leaves; the number varies the tint.
     Foliage(u16),
     /// Trunks.
     Bark,
-    /// Painted metal of lamp posts and the like.
+    /// Galvanised metal of lamp posts and the like.
     Metal,
+    /// Street furniture in one of a few colours.
+    Painted(u16),
     /// Traffic signs.
     Sign,
+    /// Lamps of traffic lights: red, amber, green, and the same switched on.
+    Signal(u16),
     /// Part of the vehicle.
     Vehicle(VehiclePart),
 }
@@ -32,8 +40,14 @@ pub(crate) enum VehiclePart {
     Cabin,
     /// Tyres and rims.
     Wheel,
-    /// Small plastic parts.
+    /// Mirrors.
     Trim,
+    /// Roof rails and aerials.
+    Rail,
+    /// A taxi's sign.
+    RoofSign,
+    /// A truck's box.
+    Cargo,
 }
 
 /// One triangle.
@@ -59,7 +73,8 @@ pub(crate) struct Mesh {
 }
 
 impl Mesh {
-    fn new_face(&mut self) -> u32 {
+    /// The number of a new face.
+    pub fn new_face(&mut self) -> u32 {
         self.next_face += 1;
         self.next_face
     }
@@ -71,6 +86,16 @@ impl Mesh {
         self.triangles.push(Triangle {
             vertices,
             normals: [normal; 3],
+            surface,
+            face,
+        });
+    }
+
+    /// One triangle of a face.
+    pub fn push(&mut self, vertices: [Vec3A; 3], normals: [Vec3A; 3], surface: Surface, face: u32) {
+        self.triangles.push(Triangle {
+            vertices,
+            normals,
             surface,
             face,
         });
@@ -104,6 +129,19 @@ impl Mesh {
             );
         }
         self.polygon(&[a, b, c, d].map(|(x, y)| Vec3A::new(x, y, high.z)), top);
+    }
+
+    /// All six faces of an axis-aligned block.
+    pub fn slab(&mut self, low: Vec3A, high: Vec3A, surface: Surface) {
+        self.block(low, high, surface, surface);
+        let corner = |x: f32, y: f32| Vec3A::new(x, y, low.z);
+        let below = [
+            corner(low.x, low.y),
+            corner(high.x, low.y),
+            corner(high.x, high.y),
+            corner(low.x, high.y),
+        ];
+        self.polygon(&below, surface);
     }
 
     /// A smooth surface through a grid of points; with `wrap` the last column meets the first.

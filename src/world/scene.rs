@@ -7,7 +7,7 @@ use super::city::City;
 use super::layout::Layout;
 use super::noise::derive_seed;
 use super::traffic;
-use super::vehicle::Vehicle;
+use super::vehicle::{Vehicle, Wardrobe};
 
 /// Keeps the random numbers of scenes apart from those of other uses of the same seed.
 const SCENE_STREAM: u64 = 1;
@@ -32,6 +32,10 @@ impl Scene {
     /// `reach_m` is how far from the vehicle a camera may be. Scenes of one seed have different
     /// cities, and neighbouring ones different vehicle styles and paints.
     pub fn draw(seed: u64, number: u32, reach_m: f64) -> Self {
+        Self::draw_alone(seed, number, reach_m, Wardrobe::ALL)
+    }
+
+    fn draw_alone(seed: u64, number: u32, reach_m: f64, wardrobe: Wardrobe) -> Self {
         let mut rng = Pcg64::seed_from_u64(derive_seed(seed, SCENE_STREAM, u64::from(number)));
         // The view goes on behind the vehicle: without blocks there it would end in a plain.
         let reach_m = reach_m as f32 + 150.0;
@@ -44,7 +48,7 @@ impl Scene {
         let at = [f64::from(if forth { offset } else { -offset }), along];
         let quarter_turn = std::f64::consts::FRAC_PI_2 * if forth { 1.0 } else { -1.0 };
         let heading = quarter_turn + rng.random_range(-5.0..5.0_f64).to_radians();
-        let vehicle = Vehicle::draw(number, at, heading, &mut rng);
+        let vehicle = Vehicle::draw(number, wardrobe, at, heading, &mut rng);
         let city = City::draw(reach_m, at.map(|v| v as f32), layout, &mut rng);
         Self {
             vehicles: vec![vehicle],
@@ -65,14 +69,29 @@ impl Scene {
         vehicles: u32,
         radius_m: f64,
     ) -> Self {
-        let mut scene = Self::draw(seed, number, reach_m);
+        Self::draw_dressed(seed, number, reach_m, vehicles, radius_m, Wardrobe::ALL)
+    }
+
+    /// [`Scene::draw_with_traffic`] with bodies and paints of a wardrobe only.
+    pub fn draw_dressed(
+        seed: u64,
+        number: u32,
+        reach_m: f64,
+        vehicles: u32,
+        radius_m: f64,
+        wardrobe: Wardrobe,
+    ) -> Self {
+        let mut scene = Self::draw_alone(seed, number, reach_m, wardrobe);
         let stream_seed = derive_seed(seed, TRAFFIC_STREAM, u64::from(number));
         let mut rng = Pcg64::seed_from_u64(stream_seed);
         let others = traffic::surround(
             scene.target(),
-            number + 1,
-            vehicles.saturating_sub(1),
-            radius_m,
+            traffic::Crowd {
+                first_number: number + 1,
+                count: vehicles.saturating_sub(1),
+                radius_m,
+                wardrobe,
+            },
             &scene.city,
             &mut rng,
         );
@@ -117,6 +136,24 @@ mod tests {
         for number in 0..6 {
             let scene = Scene::draw(9, number, 60.0);
             assert!(!scene.in_building(scene.target().center_world, 3.0));
+        }
+    }
+
+    #[test]
+    fn held_out_bodies_and_paints_never_appear() {
+        use crate::world::{BodyStyle, Paint};
+        let bodies = [BodyStyle::Taxi, BodyStyle::Truck, BodyStyle::Compact];
+        let paints = [Paint::Red, Paint::Navy];
+        let wardrobe = Wardrobe {
+            bodies: &bodies,
+            paints: &paints,
+        };
+        for number in 0..8 {
+            let scene = Scene::draw_dressed(2, number, 60.0, 6, 30.0, wardrobe);
+            for vehicle in &scene.vehicles {
+                assert!(bodies.contains(&vehicle.style()));
+                assert!(paints.contains(&vehicle.paint_name()));
+            }
         }
     }
 }

@@ -4,17 +4,19 @@ use rand::{Rng, RngExt as _};
 
 use super::city::City;
 use super::layout::Road;
-use super::vehicle::Vehicle;
+use super::vehicle::{Vehicle, Wardrobe};
 
 /// Places tried for each vehicle before the scene does without it.
 const ATTEMPTS: u32 = 60;
-/// Half of the length and width kept free for a vehicle before it is drawn: those of a large van.
-const LARGEST_HALF_M: [f64; 2] = [2.9, 1.15];
+/// Half of the length and width kept free for a vehicle before it is drawn: those of a truck.
+const LARGEST_HALF_M: [f64; 2] = [3.15, 1.15];
 /// Free road before and behind, and beside a vehicle, metres.
 const GAP_M: [f64; 2] = [0.6, 0.25];
 /// Heights between which nothing of the city may stand where a vehicle does, metres: kerbs are
 /// lower and street lamps higher.
 const SOLID_M: [f32; 2] = [0.3, 2.6];
+/// Room for a trunk or a bush on either side of its middle, metres.
+const TRUNK_M: f32 = 0.4;
 /// Nobody parks this close to a crossing, metres.
 const CROSSING_M: f32 = 5.0;
 /// The middle of a parked vehicle from the kerb, metres.
@@ -77,6 +79,17 @@ impl Footprint {
     }
 }
 
+/// Which vehicles to put around a target.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Crowd<'a> {
+    /// Number of the first; styles and paints follow from it.
+    pub first_number: u32,
+    pub count: u32,
+    /// Distance from the target, metres.
+    pub radius_m: f64,
+    pub wardrobe: Wardrobe<'a>,
+}
+
 /// Vehicles beside the target: `count` of them, or fewer where there is no room, within about
 /// `radius_m` of it.
 ///
@@ -84,12 +97,16 @@ impl Footprint {
 /// about a third are parked. Traffic keeps to the right. Nothing overlaps.
 pub(super) fn surround(
     target: &Vehicle,
-    first_number: u32,
-    count: u32,
-    radius_m: f64,
+    crowd: Crowd,
     city: &City,
     rng: &mut impl Rng,
 ) -> Vec<Vehicle> {
+    let Crowd {
+        first_number,
+        count,
+        radius_m,
+        wardrobe,
+    } = crowd;
     let [x, y, _] = target.center_world;
     let obstacles = obstacles(city, [x as f32, y as f32], radius_m as f32 + 10.0);
     let mut taken = vec![Footprint::of(target)];
@@ -103,7 +120,13 @@ pub(super) fn surround(
             free.then_some(place)
         });
         if let Some(place) = place {
-            let vehicle = Vehicle::draw(first_number + number, place.at, place.heading, rng);
+            let vehicle = Vehicle::draw(
+                first_number + number,
+                wardrobe,
+                place.at,
+                place.heading,
+                rng,
+            );
             taken.push(Footprint::of(&vehicle));
             vehicles.push(vehicle);
         }
@@ -192,6 +215,10 @@ fn obstacles(city: &City, around: [f32; 2], radius_m: f32) -> Vec<[[f32; 2]; 2]>
             let rect = [[low.x, low.y], [high.x, high.y]];
             (low.z < SOLID_M[1] && high.z > SOLID_M[0] && intersect(&area, &rect)).then_some(rect)
         })
+        .chain(city.plants.iter().map(|plant| {
+            let foot = [plant.foot.x, plant.foot.y];
+            [-TRUNK_M, TRUNK_M].map(|r| foot.map(|v| v + r))
+        }))
         .collect()
 }
 

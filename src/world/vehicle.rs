@@ -5,12 +5,15 @@
 
 use glam::Vec3A;
 use rand::{Rng, RngExt as _};
+use serde::{Deserialize, Serialize};
 
 use super::body;
 use super::mesh::{Mesh, Triangle};
+use super::paint::Paint;
 
 /// Body styles.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum BodyStyle {
     /// Four doors and a boot.
     Sedan,
@@ -26,10 +29,19 @@ pub enum BodyStyle {
     Pickup,
     /// Two doors, low.
     Coupe,
+    /// A sedan with a sign on its roof.
+    Taxi,
+    /// Very short, with a tailgate.
+    Compact,
+    /// A long van with windows all around.
+    Minibus,
+    /// A van's cab with a box behind it.
+    Truck,
 }
 
 impl BodyStyle {
-    const ALL: [Self; 7] = [
+    /// All of them.
+    pub const ALL: [Self; 11] = [
         Self::Sedan,
         Self::Hatchback,
         Self::Estate,
@@ -37,7 +49,16 @@ impl BodyStyle {
         Self::Van,
         Self::Pickup,
         Self::Coupe,
+        Self::Taxi,
+        Self::Compact,
+        Self::Minibus,
+        Self::Truck,
     ];
+
+    /// Whether its sides are upright and its nose is blunt.
+    pub(crate) const fn is_boxy(self) -> bool {
+        matches!(self, Self::Van | Self::Minibus | Self::Truck)
+    }
 
     /// Its name in files.
     pub const fn name(self) -> &'static str {
@@ -49,6 +70,10 @@ impl BodyStyle {
             Self::Van => "van",
             Self::Pickup => "pickup",
             Self::Coupe => "coupe",
+            Self::Taxi => "taxi",
+            Self::Compact => "compact",
+            Self::Minibus => "minibus",
+            Self::Truck => "truck",
         }
     }
 }
@@ -96,6 +121,10 @@ impl Shape {
             BodyStyle::Suv => shape([4.60, 1.90, 1.72], [0.24, 0.37, 2.70], [0.97, 1.12, 1.15], [0.23, 0.37, 0.88, 0.97]),
             BodyStyle::Van => shape([5.15, 1.97, 2.05], [0.20, 0.34, 3.10], [0.97, 1.18, 1.22], [0.14, 0.27, 0.955, 0.985]),
             BodyStyle::Pickup => shape([5.30, 1.90, 1.82], [0.26, 0.38, 3.20], [1.03, 1.16, 1.12], [0.25, 0.36, 0.575, 0.62]),
+            BodyStyle::Taxi => shape([4.80, 1.85, 1.47], [0.17, 0.33, 2.85], [0.77, 0.97, 1.03], [0.25, 0.41, 0.71, 0.86]),
+            BodyStyle::Compact => shape([3.60, 1.66, 1.52], [0.16, 0.29, 2.42], [0.80, 1.00, 1.02], [0.19, 0.36, 0.88, 0.975]),
+            BodyStyle::Minibus => shape([5.70, 2.02, 2.48], [0.21, 0.35, 3.60], [1.02, 1.26, 1.30], [0.11, 0.22, 0.965, 0.99]),
+            BodyStyle::Truck => shape([5.90, 2.02, 2.20], [0.24, 0.36, 3.60], [1.02, 1.24, 1.05], [0.12, 0.22, 0.275, 0.30]),
             BodyStyle::Coupe => shape([4.40, 1.85, 1.30], [0.14, 0.33, 2.60], [0.68, 0.88, 0.93], [0.30, 0.46, 0.63, 0.90]),
         }
     }
@@ -103,6 +132,11 @@ impl Shape {
     /// The x of a part of the length.
     pub fn x(&self, part: f32) -> f32 {
         self.length * (0.5 - part)
+    }
+
+    /// Height of a truck's box.
+    pub fn box_top(&self) -> f32 {
+        self.height + 0.45
     }
 
     /// The x of the front and the rear axle.
@@ -119,7 +153,11 @@ impl Shape {
 #[derive(Debug, Clone)]
 pub struct Vehicle {
     pub(crate) shape: Shape,
+    /// Name of its paint.
+    finish: Paint,
+    /// Diffuse colour of its paint, and colour of the metal flakes in it.
     pub(crate) paint: Vec3A,
+    pub(crate) flakes: Vec3A,
     /// Plates, lamps and trim vary with it.
     pub(crate) seed: u32,
     /// Centre of the bounding box, metres, world.
@@ -131,50 +169,59 @@ pub struct Vehicle {
     pub(crate) triangles: Vec<Triangle>,
 }
 
-/// Linear colours of paints, darkest to lightest and then the bright ones.
-const PAINTS: [[f32; 3]; 14] = [
-    [0.012, 0.012, 0.014],
-    [0.045, 0.048, 0.052],
-    [0.17, 0.175, 0.18],
-    [0.42, 0.43, 0.44],
-    [0.74, 0.74, 0.72],
-    [0.78, 0.78, 0.78],
-    [0.36, 0.012, 0.015],
-    [0.52, 0.03, 0.02],
-    [0.012, 0.04, 0.20],
-    [0.03, 0.14, 0.42],
-    [0.015, 0.09, 0.045],
-    [0.62, 0.40, 0.03],
-    [0.58, 0.16, 0.02],
-    [0.30, 0.24, 0.16],
-];
+/// The bodies and paints that a scene may draw from.
+#[derive(Debug, Clone, Copy)]
+pub struct Wardrobe<'a> {
+    /// Bodies.
+    pub bodies: &'a [BodyStyle],
+    /// Paints.
+    pub paints: &'a [Paint],
+}
+
+impl Wardrobe<'static> {
+    /// Every body and every paint.
+    pub const ALL: Self = Self {
+        bodies: &BodyStyle::ALL,
+        paints: &Paint::ALL,
+    };
+}
 
 impl Vehicle {
-    /// A vehicle of the given number: numbers that differ by less than 7 differ in style, and by
-    /// less than 13 in paint.
+    /// A vehicle of the given number: numbers that differ by less than the number of bodies differ in
+    /// style, and by less than that of paints in paint.
     ///
     /// It stands at `(x, y)` on the ground and heads `heading` radians from the world's x axis.
-    pub(crate) fn draw(number: u32, at: [f64; 2], heading: f64, rng: &mut impl Rng) -> Self {
-        let styles = BodyStyle::ALL;
-        let mut shape = Shape::of(styles[number as usize % styles.len()]);
+    pub(crate) fn draw(
+        number: u32,
+        wardrobe: Wardrobe,
+        at: [f64; 2],
+        heading: f64,
+        rng: &mut impl Rng,
+    ) -> Self {
+        let Wardrobe { bodies, paints } = wardrobe;
+        let mut shape = Shape::of(bodies[number as usize % bodies.len()]);
         let [length, width, height] = [(); 3].map(|()| rng.random_range(0.95..1.05_f32));
         shape.length *= length;
         shape.wheelbase *= length;
         shape.width *= width;
         shape.height *= height;
-        // A step coprime to the list's length visits every paint before it repeats one; the shift
-        // after each round keeps style and paint from pairing up.
-        let base = Vec3A::from_array(
-            PAINTS[(number as usize * 5 + number as usize / 14 + 3) % PAINTS.len()],
-        );
-        let paint = (base * rng.random_range(0.85..1.15_f32)).min(Vec3A::splat(0.82));
+        // Steps of one visit every paint before one repeats; the shift after each round of styles
+        // keeps style and paint from pairing up.
+        let place = number as usize;
+        let paint = paints[(place + place / bodies.len() + 3) % paints.len()];
+        let shade = rng.random_range(0.85..1.15_f32);
+        let colors = paint
+            .colors()
+            .map(|c| (Vec3A::from_array(c) * shade).min(Vec3A::splat(0.80)));
         let mesh = body::build(&shape);
-        Self::place(shape, paint, rng.random(), &mesh, at, heading)
+        let seed = rng.random();
+        Self::place(shape, paint, colors, seed, &mesh, at, heading)
     }
 
     fn place(
         shape: Shape,
-        paint: Vec3A,
+        finish: Paint,
+        [paint, flakes]: [Vec3A; 2],
         seed: u32,
         mesh: &Mesh,
         at: [f64; 2],
@@ -208,7 +255,9 @@ impl Vehicle {
         let size_m = (high - low).to_array().map(f64::from);
         Self {
             shape,
+            finish,
             paint,
+            flakes,
             seed,
             center_world,
             forward_world,
@@ -220,6 +269,11 @@ impl Vehicle {
     /// Style of its body.
     pub fn style(&self) -> BodyStyle {
         self.shape.style
+    }
+
+    /// Its paint.
+    pub const fn paint_name(&self) -> Paint {
+        self.finish
     }
 
     /// Radius of the bounding sphere: half the diagonal of the bounding box, metres.
@@ -264,12 +318,12 @@ mod tests {
     #[test]
     fn every_style_fills_a_box_of_about_its_size_around_its_centre() {
         let mut rng = Pcg64::seed_from_u64(5);
-        for number in 0..7 {
-            let vehicle = Vehicle::draw(number, [3.0, -2.0], 0.7, &mut rng);
+        for number in 0..11 {
+            let vehicle = Vehicle::draw(number, Wardrobe::ALL, [3.0, -2.0], 0.7, &mut rng);
             let [length, width, height] = vehicle.size_m;
-            assert!((3.7..5.7).contains(&length), "{length}");
-            assert!((1.6..2.4).contains(&width), "{width}");
-            assert!((1.1..2.3).contains(&height), "{height}");
+            assert!((3.3..6.3).contains(&length), "{length}");
+            assert!((1.5..2.5).contains(&width), "{width}");
+            assert!((1.1..2.9).contains(&height), "{height}");
             let reach = vehicle.radius_sphere_m();
             for vertex in vehicle.triangles.iter().flat_map(|t| t.vertices) {
                 let apart: f64 = (0..3)
@@ -278,14 +332,17 @@ mod tests {
                 assert!(apart.sqrt() <= reach + 1e-4);
                 assert!(vertex.z >= -1e-6);
             }
+            let heights = vehicle.triangles.iter().flat_map(|t| t.vertices);
+            let lowest = heights.map(|v| v.z).fold(f32::INFINITY, f32::min);
+            assert!(lowest < 1e-3, "wheels hang {lowest} m over the ground");
         }
     }
 
     #[test]
     fn neighbouring_vehicles_differ_in_style_and_paint() {
         let mut rng = Pcg64::seed_from_u64(5);
-        let vehicles: Vec<Vehicle> = (0..7)
-            .map(|n| Vehicle::draw(n, [0.0, 0.0], 0.0, &mut rng))
+        let vehicles: Vec<Vehicle> = (0..11)
+            .map(|n| Vehicle::draw(n, Wardrobe::ALL, [0.0, 0.0], 0.0, &mut rng))
             .collect();
         for pair in vehicles.windows(2) {
             assert_ne!(pair[0].style(), pair[1].style());
@@ -296,7 +353,7 @@ mod tests {
     #[test]
     fn vehicle_axes_invert_the_placement() {
         let mut rng = Pcg64::seed_from_u64(1);
-        let vehicle = Vehicle::draw(2, [10.0, 4.0], 2.1, &mut rng);
+        let vehicle = Vehicle::draw(2, Wardrobe::ALL, [10.0, 4.0], 2.1, &mut rng);
         let [x, y, _] = vehicle.center_world;
         let [fx, fy, _] = vehicle.forward_world;
         let ahead = Vec3A::new((x + 2.0 * fx) as f32, (y + 2.0 * fy) as f32, 0.5);
