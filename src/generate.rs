@@ -1,35 +1,41 @@
 //! Makes a dataset without any simulator: plans the captures, renders them and writes them down.
 //!
-//! [`generate`] is the only entry. A frame is a function of the configuration and its number, so
+//! [`generate`] makes a dataset and [`add_frames`] lets it grow. A frame is a function of the configuration and its number, so
 //! frames are rendered in any order and on any number of threads with the same bytes, and a stopped
 //! run goes on where it was.
 
 mod config;
+mod estimate;
 mod label;
+mod part;
 mod plan;
 mod settle;
+mod truth;
 mod write;
 
 use std::path::Path;
+use std::time::Instant;
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-pub use config::{GenerateConfig, SplitMode, TestProtocol, VehicleCount};
+pub use config::{GenerateConfig, Outputs, SplitMode, TestProtocol, VehicleCount};
 pub use plan::view_of_azimuth;
 
-use crate::dataset::{FrameRow, ObjectRow, Split};
+use crate::dataset::{Split, read_frames_csv};
 use crate::error::{Error, Result};
-use crate::geometry::StereoRig;
 use crate::progress::Progress;
-use crate::render::{Conditions, Eye, RenderSettings, Stage, render};
+use crate::render::{Conditions, Eye, Instances, RenderSettings, Stage, render};
 use crate::world::Scene;
 use crate::world::noise::derive_seed;
+use estimate::{Sample, Work, announce};
 use label::{labels, objects};
-use plan::{SceneDraft, plan_scenes};
+use part::Task;
+use plan::{FrameDraft, SceneDraft, plan_scenes};
 use settle::Capture;
-use write::Target;
+use truth::write_maps;
+use write::{FrameRecord, Target};
 
 /// Random numbers for how many vehicles a scene has.
 const COUNT_STREAM: u64 = 7;
@@ -43,7 +49,7 @@ const TRAFFIC_M: [f64; 2] = [20.0, 90.0];
 pub struct GenerateReport {
     /// Frames of the finished dataset.
     pub frames: usize,
-    /// Of these, frames that an earlier, stopped run had already written.
+    /// Of these, frames that an earlier run had already written.
     pub reused: usize,
     /// Training frames.
     pub train: usize,
@@ -55,79 +61,117 @@ pub struct GenerateReport {
 
 /// Writes a whole dataset into a folder, which is created where it is missing.
 ///
-/// While frames are missing the folder holds `generating.toml` with the configuration; started
-/// again with the same one, the function keeps the frames that are complete. `frames.csv` and
+/// While frames are missing the folder holds `generating.toml` with the settings; started again
+/// with the same ones, the function keeps the frames that are complete. `frames.csv` and
 /// `dataset.toml` come last, so nothing takes an unfinished folder for a dataset.
 ///
+/// A folder with a finished dataset of the same settings but fewer frames gets the missing ones,
+/// as [`add_frames`] would add them.
+///
+/// The first frame is rendered alone, and what it cost tells time and disk of the others: they are
+/// said through `progress`, and a disk that is too small is an error.
+///
 /// # Errors
-/// An unusable configuration, a folder that holds a finished dataset or one begun with another
-/// configuration, a failed write, or [`Error::Interrupted`].
+/// An unusable configuration, a folder that holds another dataset or one begun with another
+/// configuration, a disk that is too small, a failed write, or [`Error::Interrupted`].
 pub fn generate(
     config: &GenerateConfig,
     out: &Path,
     progress: &dyn Progress,
 ) -> Result<GenerateReport> {
     config.validate()?;
-    let rig = config.rig()?;
-    let target = Target::open(config, out)?;
-    let scenes = plan_scenes(config);
-    let total = scenes.iter().map(|scene| scene.frames.len()).sum::<usize>();
-    progress.begin("rendering frames", total as u64);
-    let done: Result<Vec<Vec<Done>>> = scenes
+    run(Task::generate(config, out)?, out, progress)
+}
+
+/// Adds training and validation frames, with scenes of their own, to a finished dataset of
+/// [`generate`], with the settings that made it. What is there stays as it is, splits included.
+/// Stopped, it goes on when it is called again with the same number.
+///
+/// # Errors
+/// A folder without a finished dataset of this version of the program, and those of [`generate`].
+pub fn add_frames(frames: u32, out: &Path, progress: &dyn Progress) -> Result<GenerateReport> {
+    let task = Task::extend(out, frames)?;
+    let config = GenerateConfig {
+        frames,
+        ..task.history.config.clone()
+    };
+    config.validate()?;
+    run(task, out, progress)
+}
+
+fn run(task: Task, out: &Path, progress: &dyn Progress) -> Result<GenerateReport> {
+    let target = Target::open(task, out)?;
+    let task = target.task();
+    let scenes = plan_scenes(&task.history.config, &task.part);
+    let stamps = scenes.iter().flat_map(|scene| &scene.frames);
+    let reused = stamps
+        .clone()
+        .filter(|frame| target.has_frame(frame.stamp))
+        .count();
+    measure(&target, &scenes, progress)?;
+    progress.begin("rendering frames", stamps.count() as u64);
+    let done: Result<Vec<Vec<FrameRecord>>> = scenes
         .par_iter()
-        .map(|scene| generate_scene(config, &rig, scene, &target, progress))
+        .map(|scene| generate_scene(scene, &target, progress))
         .collect();
     progress.end();
-    let mut done: Vec<Done> = done?.into_iter().flatten().collect();
-    done.sort_by_key(|done| done.row.stamp);
-    let reused = done.iter().filter(|done| done.reused).count();
-    let (rows, objects): (Vec<FrameRow>, Vec<Vec<ObjectRow>>) = done
-        .into_iter()
-        .map(|done| (done.row, done.objects))
-        .unzip();
-    target.finish(config, rig, &rows, &objects.concat())?;
+    let mut done: Vec<FrameRecord> = done?.into_iter().flatten().collect();
+    done.sort_by_key(|record| record.row.stamp);
+    target.finish(&done)?;
+    let (rows, _) = read_frames_csv(out.join("frames.csv"))?;
     let count = |split| rows.iter().filter(|row| row.split == split).count();
     Ok(GenerateReport {
         frames: rows.len(),
-        reused,
+        reused: rows.len().saturating_sub(done.len()) + reused,
         train: count(Split::Train),
         val: count(Split::Val),
         test: count(Split::Test),
     })
 }
 
-/// A frame that is on disk.
-struct Done {
-    row: FrameRow,
-    objects: Vec<ObjectRow>,
-    /// Whether it was there already.
-    reused: bool,
+/// Renders the first frame that is missing and says what the others will cost.
+fn measure(target: &Target, scenes: &[SceneDraft], progress: &dyn Progress) -> Result<()> {
+    let missing = |frame: &&FrameDraft| !target.has_frame(frame.stamp);
+    let Some((scene, frame)) = scenes
+        .iter()
+        .find_map(|scene| Some((scene, scene.frames.iter().find(missing)?)))
+    else {
+        return Ok(());
+    };
+    let begun = Instant::now();
+    let stage = stage_of(&target.task().history.config, scene);
+    let staged = Instant::now();
+    make_frame(frame, &stage, target)?;
+    let sample = Sample {
+        scene: staged - begun,
+        frame: staged.elapsed(),
+        bytes: target.frame_bytes(frame.stamp),
+    };
+    let left: Vec<usize> = scenes
+        .iter()
+        .map(|scene| scene.frames.iter().filter(missing).count())
+        .collect();
+    let work = Work {
+        scenes: left.iter().filter(|&&frames| frames > 0).count(),
+        frames: left.iter().sum(),
+        threads: rayon::current_num_threads(),
+    };
+    if work.frames > 0 {
+        progress.note(&announce(sample, work, target)?);
+    }
+    Ok(())
 }
 
 /// Renders what is missing of one scene.
 fn generate_scene(
-    config: &GenerateConfig,
-    rig: &StereoRig,
     scene: &SceneDraft,
     target: &Target,
     progress: &dyn Progress,
-) -> Result<Vec<Done>> {
+) -> Result<Vec<FrameRecord>> {
     if progress.interrupted() {
         return Err(interrupted());
     }
-    let reach_m = scene
-        .frames
-        .iter()
-        .map(|frame| frame.distance_m)
-        .fold(0.0, f64::max);
-    let stage = Stage::new(Scene::draw_dressed(
-        config.seed,
-        scene.number,
-        reach_m,
-        vehicles_of_scene(config, scene.number),
-        (TRAFFIC_PART * config.distance_max_m).clamp(TRAFFIC_M[0], TRAFFIC_M[1]),
-        config.appearance.wardrobe(),
-    ));
+    let stage = stage_of(&target.task().history.config, scene);
     scene
         .frames
         .par_iter()
@@ -135,19 +179,41 @@ fn generate_scene(
             if progress.interrupted() {
                 return Err(interrupted());
             }
-            let capture = draft.settle(config, rig, &stage);
-            let reused = target.has_frame(draft.stamp);
-            if !reused {
-                write_frame(config, rig, &stage, &capture, target)?;
-            }
+            let record = make_frame(draft, &stage, target);
             progress.advance(1);
-            Ok(Done {
-                objects: objects(&stage, &capture),
-                row: capture.row,
-                reused,
-            })
+            record
         })
         .collect()
+}
+
+fn stage_of(config: &GenerateConfig, scene: &SceneDraft) -> Stage {
+    let reach_m = scene
+        .frames
+        .iter()
+        .map(|frame| frame.distance_m)
+        .fold(0.0, f64::max);
+    Stage::new(Scene::draw_dressed(
+        config.seed,
+        scene.number,
+        reach_m,
+        vehicles_of_scene(config, scene.number),
+        (TRAFFIC_PART * config.distance_max_m).clamp(TRAFFIC_M[0], TRAFFIC_M[1]),
+        config.appearance.wardrobe(),
+    ))
+}
+
+/// Settles a frame, and renders and writes it where it is missing.
+fn make_frame(draft: &FrameDraft, stage: &Stage, target: &Target) -> Result<FrameRecord> {
+    let config = &target.task().history.config;
+    let capture = draft.settle(config, target.rig(), stage);
+    if !target.has_frame(draft.stamp) {
+        write_frame(config, stage, &capture, target)?;
+    }
+    Ok(FrameRecord {
+        objects: objects(stage, &capture),
+        pose: capture.pose,
+        row: capture.row,
+    })
 }
 
 fn vehicles_of_scene(config: &GenerateConfig, number: u32) -> u32 {
@@ -165,7 +231,6 @@ fn interrupted() -> Error {
 
 fn write_frame(
     config: &GenerateConfig,
-    rig: &StereoRig,
     stage: &Stage,
     capture: &Capture,
     target: &Target,
@@ -176,13 +241,20 @@ fn write_frame(
         noise_seed: capture.noise_seed,
         conditions: Conditions::draw(&config.appearance, capture.sun, capture.noise_seed),
     };
+    let rig = target.rig();
     for eye in Eye::BOTH {
         let image = render(stage, rig, &capture.pose, eye, &settings);
-        let labels = labels(config, stage, rig, capture, eye);
+        let Instances { silhouettes, map } = Instances::measure(stage, rig, &capture.pose, eye);
+        let labels = labels(config, stage, rig, capture, eye, &silhouettes);
+        write_maps(config.outputs, stage, capture, eye, &map, target)?;
         target.write_view(capture.row.stamp, eye, &image, &labels)?;
     }
     Ok(())
 }
 
+#[cfg(test)]
+mod growth;
+#[cfg(test)]
+mod laws;
 #[cfg(test)]
 mod tests;

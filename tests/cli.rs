@@ -3,6 +3,8 @@
 
 #[path = "support/binary.rs"]
 mod binary;
+#[path = "cli/generate.rs"]
+mod generate;
 #[path = "cli/pairing.rs"]
 mod pairing;
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use twinsight::Result;
-use twinsight::generate::{GenerateConfig, GenerateReport, generate};
+use twinsight::generate::{GenerateConfig, GenerateReport, VehicleCount, add_frames, generate};
 
 use super::values::ImageSize;
 use super::{presets, stdout, terminal};
@@ -12,8 +12,10 @@ use super::{presets, stdout, terminal};
 /// Make a dataset: stereo pairs of vehicles in procedural cities, with labels
 ///
 /// Nothing is downloaded and no simulator is needed. The same settings give the same files, byte by
-/// byte, on every machine. A generation that was stopped goes on when it is started again with the
-/// same settings and folder.
+/// byte, on every machine. A generation that was stopped, or killed, goes on when it is started again
+/// with the same settings and folder; one that is finished grows with `--add`, or with more
+/// `--frames` and the same settings. Time and disk are told after the first frame, and a disk that is
+/// too small is refused.
 #[derive(Debug, Args)]
 #[command(after_long_help = EXAMPLES)]
 pub struct GenerateArgs {
@@ -27,6 +29,17 @@ pub struct GenerateArgs {
     /// Number of training and validation frames; those of the test protocol come on top
     #[arg(long, value_name = "N")]
     frames: Option<u32>,
+    /// Vehicles of a scene: a number, or a range such as `4-8`; one of them is the target
+    #[arg(long, value_name = "N", value_parser = vehicles)]
+    vehicles: Option<VehicleCount>,
+    /// What to write beside images and labels
+    #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = OUTPUTS)]
+    outputs: Vec<String>,
+    /// Add N training and validation frames, with scenes of their own, to the finished dataset in
+    /// `--out`, with the settings that made it; what is there stays as it is
+    #[arg(long, value_name = "N", requires = "out", conflicts_with_all =
+        ["preset", "config", "frames", "vehicles", "outputs", "size", "seed"])]
+    add: Option<u32>,
     /// Size of the images, pixels
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     size: Option<ImageSize>,
@@ -49,16 +62,40 @@ Examples:
 
     twinsight generate --preset paper --frames 1000 --size 1024x576 --out datasets/half
 
+  Six vehicles in a scene, with depth and instance maps:
+
+    twinsight generate --vehicles 6 --outputs depth,instances --out datasets/maps
+
+  1000 more frames for a dataset:
+
+    twinsight generate --add 1000 --out datasets/quick
+
   Your own settings; `datasets/quick.toml` shows and explains every one:
 
     twinsight generate --config my.toml --out datasets/mine";
 
+/// Names of the extra outputs.
+const OUTPUTS: [&str; 4] = ["depth", "disparity", "instances", "poses"];
+
+/// A number, or a range such as `4-8`.
+fn vehicles(text: &str) -> Result<VehicleCount, String> {
+    let (least, most) = text.split_once('-').unwrap_or((text, text));
+    match (least.parse(), most.parse()) {
+        (Ok(least), Ok(most)) => Ok(VehicleCount { least, most }),
+        _ => Err("is no number of vehicles; write it like 4 or 4-8".to_owned()),
+    }
+}
+
 impl GenerateArgs {
     /// Makes the dataset.
     pub fn run(&self, quiet: bool) -> Result<()> {
-        let config = self.resolve()?;
         let out = self.out();
-        let report = terminal::with_progress(quiet, |progress| generate(&config, &out, progress))?;
+        let report = if let Some(frames) = self.add {
+            terminal::with_progress(quiet, |progress| add_frames(frames, &out, progress))?
+        } else {
+            let config = self.resolve()?;
+            terminal::with_progress(quiet, |progress| generate(&config, &out, progress))?
+        };
         stdout::print(&format!("{}\n", summary(&report, &out)))
     }
 
@@ -69,6 +106,17 @@ impl GenerateArgs {
         };
         if let Some(frames) = self.frames {
             config.frames = frames;
+        }
+        if let Some(vehicles) = self.vehicles {
+            config.vehicles = vehicles;
+        }
+        for output in &self.outputs {
+            match output.as_str() {
+                "depth" => config.outputs.depth = true,
+                "disparity" => config.outputs.disparity = true,
+                "instances" => config.outputs.instances = true,
+                _ => config.outputs.poses = true,
+            }
         }
         if let Some(size) = self.size {
             config.width = size.width;
@@ -102,7 +150,7 @@ pub fn summary(report: &GenerateReport, out: &Path) -> String {
     } = report;
     let kept = match reused {
         0 => String::new(),
-        reused => format!(", {reused} of them kept from a stopped run"),
+        reused => format!(", {reused} of them kept from earlier"),
     };
     let out = out.display();
     format!("dataset {out}: {frames} frames ({train} train, {val} val, {test} test){kept}")

@@ -66,6 +66,8 @@ pub struct GenerateConfig {
     pub val_fraction: f64,
     /// How frames are divided between training and validation.
     pub split: SplitMode,
+    /// What is written beside images and labels.
+    pub outputs: Outputs,
     /// Weather, camera, sensor, bodies and paints.
     pub appearance: Appearance,
     /// A grid of test views in scenes of their own.
@@ -146,6 +148,40 @@ impl From<VehicleCount> for Numbers {
     }
 }
 
+/// What is written beside images and labels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Outputs {
+    /// Depth maps.
+    pub depth: bool,
+    /// Disparity maps.
+    pub disparity: bool,
+    /// Instance maps.
+    pub instances: bool,
+    /// The rig's poses.
+    pub poses: bool,
+}
+
+impl Outputs {
+    /// Folder of the depth maps, and their name on the command line.
+    pub const DEPTH: &str = "depth";
+    /// Folder of the disparity maps, and their name on the command line.
+    pub const DISPARITY: &str = "disparity";
+    /// Folder of the instance maps, and their name on the command line.
+    pub const INSTANCES: &str = "instances";
+
+    /// Folders of the maps that are wanted.
+    pub fn map_folders(self) -> impl Iterator<Item = &'static str> {
+        [
+            (self.depth, Self::DEPTH),
+            (self.disparity, Self::DISPARITY),
+            (self.instances, Self::INSTANCES),
+        ]
+        .into_iter()
+        .filter_map(|(wanted, folder)| wanted.then_some(folder))
+    }
+}
+
 /// Test frames: one for every combination of distance, sun and view.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -181,6 +217,7 @@ impl Default for GenerateConfig {
             ignore_below_px: 6.0,
             val_fraction: 0.2,
             split: SplitMode::Scene,
+            outputs: Outputs::default(),
             appearance: Appearance::default(),
             test: None,
         }
@@ -338,9 +375,14 @@ impl GenerateConfig {
     /// Number of training and validation scenes. At least two where there are two frames, so that
     /// a split by scene has something to divide.
     pub fn scenes(&self) -> u32 {
-        self.frames
+        self.scenes_of(self.frames)
+    }
+
+    /// Number of scenes over which this many frames are spread.
+    pub(super) fn scenes_of(&self, frames: u32) -> u32 {
+        frames
             .div_ceil(self.frames_per_scene.max(1))
-            .max(self.frames.min(2))
+            .max(frames.min(2))
     }
 }
 

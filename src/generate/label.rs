@@ -17,12 +17,13 @@ pub(super) fn labels(
     rig: &StereoRig,
     capture: &Capture,
     eye: Eye,
+    silhouettes: &[Silhouette],
 ) -> Vec<Label> {
     let camera = eye.camera(rig);
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let mut labels = Vec::new();
-    for (id, vehicle) in (0_u32..).zip(&stage.scene().vehicles) {
-        let silhouette = Silhouette::measure(stage, id as usize, rig, &capture.pose, eye);
+    let vehicles = (0_u32..).zip(&stage.scene().vehicles);
+    for ((id, vehicle), silhouette) in vehicles.zip(silhouettes) {
         let Some(tight) = silhouette.tight else {
             continue;
         };

@@ -11,6 +11,7 @@ use rand::{Rng, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
 use super::config::{GenerateConfig, SplitMode, TestProtocol};
+use super::part::Part;
 use crate::dataset::{Split, View};
 use crate::world::Sun;
 use crate::world::noise::derive_seed;
@@ -70,15 +71,18 @@ pub fn view_of_azimuth(azimuth_deg: f64) -> View {
     }
 }
 
-/// All frames, scene by scene: first those of training and validation, then those of the test.
-pub(super) fn plan_scenes(config: &GenerateConfig) -> Vec<SceneDraft> {
-    let mut rng = Pcg64::seed_from_u64(derive_seed(config.seed, PLAN_STREAM, 0));
-    let (frames, scenes) = (config.frames, config.scenes());
+/// All frames of a part, scene by scene: first those of training and validation, then those of the
+/// test, which the first part has.
+pub(super) fn plan_scenes(config: &GenerateConfig, part: &Part) -> Vec<SceneDraft> {
+    let mut rng = Pcg64::seed_from_u64(derive_seed(config.seed, PLAN_STREAM, part.index));
+    let (frames, scenes) = (part.frames, config.scenes_of(part.frames));
     let mut drafts: Vec<SceneDraft> = (0..scenes)
         .map(|number| {
             let [first, end] =
                 [number, number + 1].map(|n| u64::from(n) * u64::from(frames) / u64::from(scenes));
             let count = (end - first) as u32;
+            let number = part.first_scene + number;
+            let first = part.first_stamp + first;
             SceneDraft {
                 number,
                 frames: orbit(config, number, first, count, &mut rng),
@@ -89,7 +93,9 @@ pub(super) fn plan_scenes(config: &GenerateConfig) -> Vec<SceneDraft> {
         SplitMode::Scene => split_by_scene(&mut drafts, config.val_fraction, &mut rng),
         SplitMode::Frame => split_by_frame(&mut drafts, config.val_fraction, &mut rng),
     }
-    if let Some(test) = &config.test {
+    if let Some(test) = &config.test
+        && part.index == 0
+    {
         drafts.extend(plan_test(config, test, scenes, &mut rng));
     }
     drafts
@@ -234,6 +240,10 @@ fn plan_test(
 mod tests {
     use super::*;
 
+    fn plan(config: &GenerateConfig) -> Vec<SceneDraft> {
+        plan_scenes(config, &Part::first(config))
+    }
+
     #[test]
     fn the_sides_of_a_vehicle_are_named_from_any_number_of_turns() {
         for (azimuth, view) in [
@@ -256,7 +266,7 @@ mod tests {
     #[test]
     fn a_split_by_scene_shares_no_scene_and_gives_validation_its_fifth() {
         let config = GenerateConfig::default();
-        let drafts = plan_scenes(&config);
+        let drafts = plan(&config);
         let mut validating = 0;
         for scene in &drafts {
             assert!(
@@ -284,7 +294,7 @@ mod tests {
                 split,
                 ..GenerateConfig::default()
             };
-            let mut splits: Vec<Split> = plan_scenes(&config)
+            let mut splits: Vec<Split> = plan(&config)
                 .iter()
                 .flat_map(|s| &s.frames)
                 .map(|f| f.split)
@@ -301,7 +311,7 @@ mod tests {
             frames_per_scene: 10,
             ..GenerateConfig::default()
         };
-        for scene in plan_scenes(&config) {
+        for scene in plan(&config) {
             let mut bins = [0; 10];
             for frame in &scene.frames {
                 bins[((frame.distance_m - 10.0) / 5.0) as usize] += 1;
@@ -317,7 +327,7 @@ mod tests {
             frames_per_scene: 72,
             ..GenerateConfig::default()
         };
-        let frames: Vec<FrameDraft> = plan_scenes(&config)
+        let frames: Vec<FrameDraft> = plan(&config)
             .into_iter()
             .flat_map(|s| s.frames)
             .take(36)
@@ -334,7 +344,7 @@ mod tests {
     #[test]
     fn the_papers_test_protocol_is_108_frames_in_scenes_of_their_own() {
         let config = GenerateConfig::preset("paper").unwrap();
-        let drafts = plan_scenes(&config);
+        let drafts = plan(&config);
         let test: Vec<&FrameDraft> = drafts
             .iter()
             .flat_map(|s| &s.frames)

@@ -6,7 +6,7 @@ use super::*;
 use crate::dataset::{BoxKind, Label, StereoDataset, read_objects_csv};
 use crate::progress::Silent;
 
-fn tiny() -> GenerateConfig {
+pub(super) fn tiny() -> GenerateConfig {
     GenerateConfig {
         frames: 6,
         frames_per_scene: 3,
@@ -19,7 +19,7 @@ fn tiny() -> GenerateConfig {
 }
 
 /// Every file below a folder by its relative path.
-fn content(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+pub(super) fn content(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
     while let Some(next) = folders.pop() {
@@ -37,9 +37,18 @@ fn content(folder: &Path) -> BTreeMap<String, Vec<u8>> {
 }
 
 /// Asks to stop after some frames.
-struct StopAfter {
+pub(super) struct StopAfter {
     frames: u32,
     seen: AtomicU32,
+}
+
+impl StopAfter {
+    pub fn new(frames: u32) -> Self {
+        Self {
+            frames,
+            seen: AtomicU32::new(0),
+        }
+    }
 }
 
 impl Progress for StopAfter {
@@ -80,11 +89,7 @@ fn a_stopped_run_goes_on_and_ends_with_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let [whole, stopped] = ["whole", "stopped"].map(|name| folder.path().join(name));
     generate(&tiny(), &whole, &Silent).unwrap();
-    let stop = StopAfter {
-        frames: 4,
-        seen: AtomicU32::new(0),
-    };
-    let error = generate(&tiny(), &stopped, &stop).unwrap_err();
+    let error = generate(&tiny(), &stopped, &StopAfter::new(4)).unwrap_err();
     assert!(matches!(error, Error::Interrupted { .. }), "{error}");
     assert!(!stopped.join("dataset.toml").exists() && !stopped.join("frames.csv").exists());
 

@@ -260,3 +260,116 @@ impl Around<'_> {
         (alike && here.lit != Lit::Dark).then_some(here.lit)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::Appearance;
+    use crate::world::{Scene, Sun};
+
+    const SIZE: [u32; 2] = [128, 72];
+
+    fn view(number: u32) -> (Stage, StereoRig, RigPose) {
+        let stage = Stage::new(Scene::draw_with_traffic(21, number, 60.0, 4, 25.0));
+        let rig = StereoRig::from_hfov(SIZE[0], SIZE[1], 90.0, 0.8).unwrap();
+        let [x, y, z] = stage.scene().target().center_world;
+        let pose = RigPose::aimed([x + 9.0, y - 7.0, z + 9.0], [x, y, z], [0.1, 0.1]).unwrap();
+        (stage, rig, pose)
+    }
+
+    fn settings(conditions: Conditions) -> RenderSettings {
+        RenderSettings {
+            samples_per_pixel: 4,
+            noise_counts: 1.0,
+            noise_seed: 3,
+            conditions,
+        }
+    }
+
+    #[test]
+    fn under_every_sun_and_sky_few_pixels_are_lost_in_white_or_black() {
+        let murky = Appearance {
+            overcast: 1.0,
+            wet: 0.5,
+            ..Appearance::default()
+        };
+        for number in 0..2 {
+            let (stage, rig, pose) = view(number);
+            let mut skies: Vec<Conditions> = Sun::ALL.map(Conditions::fair).to_vec();
+            skies.extend((0..3).map(|seed| Conditions::draw(&murky, Sun::Random, seed)));
+            for conditions in skies {
+                let image = render(&stage, &rig, &pose, Eye::Left, &settings(conditions));
+                let share = |test: fn(&image::Rgb<u8>) -> bool| {
+                    image.pixels().filter(|p| test(p)).count() as f64 / f64::from(SIZE[0] * SIZE[1])
+                };
+                assert!(share(|p| p.0.contains(&255)) < 0.06, "{conditions:?}");
+                assert!(
+                    share(|p| p.0.iter().all(|&v| v < 5)) < 0.03,
+                    "{conditions:?}"
+                );
+                let mean = image.pixels().map(|p| f64::from(p.0[1])).sum::<f64>()
+                    / f64::from(SIZE[0] * SIZE[1]);
+                assert!((70.0..190.0).contains(&mean), "{mean} {conditions:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn both_eyes_see_a_place_on_the_ground_in_the_same_light() {
+        let (stage, rig, pose) = view(1);
+        let conditions = Conditions::fair(Sun::Morning);
+        let light = Light::new(conditions.sun, conditions.air, stage.scene().compass_deg);
+        let shader = Shader {
+            stage: &stage,
+            light: &light,
+            wetness: 0.0,
+        };
+        let [left, right] = Eye::BOTH.map(|eye| pose.eye_world(&rig, eye));
+        let (mut seen, mut alike) = (0, 0);
+        for row in 0..36 {
+            for column in 0..64 {
+                let pixel = [f64::from(column) * 2.0 + 1.0, f64::from(row) * 2.0 + 1.0];
+                let direction = pose.world_from_pixel(&rig.left, pixel);
+                let first = shader.sample(left, direction, 0.004, None);
+                if first.face != GROUND_FACE {
+                    continue;
+                }
+                let place = left + direction * (-left.z / direction.z);
+                let second = shader.sample(right, (place - right).normalize(), 0.004, None);
+                if second.face != GROUND_FACE {
+                    continue;
+                }
+                seen += 1;
+                let [a, b] = [first, second].map(|sample| sample.light.dot(LUMA));
+                alike += u32::from((a - b).abs() < 0.08 * (a + b));
+            }
+        }
+        assert!(seen > 300, "{seen}");
+        // The rest is where a blade of grass or the edge of a shadow falls between.
+        assert!(
+            f64::from(alike) > 0.96 * f64::from(seen),
+            "{alike} of {seen}"
+        );
+    }
+
+    #[test]
+    fn the_same_settings_give_the_same_bytes_and_weather_gives_others() {
+        let (stage, rig, pose) = view(0);
+        let wet = Conditions {
+            wetness: 0.8,
+            blur_pixel: 0.5,
+            jpeg_quality: Some(80),
+            ..Conditions::fair(Sun::Sunset)
+        };
+        let image = || render(&stage, &rig, &pose, Eye::Right, &settings(wet));
+        assert_eq!(image(), image());
+        let dry = Conditions {
+            wetness: 0.0,
+            ..wet
+        };
+        assert_ne!(
+            image(),
+            render(&stage, &rig, &pose, Eye::Right, &settings(dry))
+        );
+    }
+}

@@ -9,6 +9,7 @@ mod appearance;
 mod film;
 mod forest;
 mod frame;
+mod maps;
 mod lens;
 mod material;
 mod openness;
@@ -19,6 +20,7 @@ mod trace;
 
 pub use appearance::{Appearance, Conditions, Range};
 pub use frame::{RenderSettings, render};
+pub use maps::{Instances, depth};
 pub use pose::{Eye, RigPose};
 pub use silhouette::Silhouette;
 pub use trace::Stage;

@@ -183,3 +183,25 @@ fn spread(layer: &[Option<View>]) -> Vec<View> {
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::Scene;
+
+    #[test]
+    fn roofs_see_more_of_the_sky_than_streets_and_shares_stay_in_range() {
+        for number in 0..4 {
+            let scene = Scene::draw(5, number, 60.0);
+            let [x, y, _] = scene.target().center_world.map(|v| v as f32);
+            let openness = Openness::new(&scene.city, [x, y]);
+            for i in 0..400_u16 {
+                let [dx, dy] = [i % 20, i / 20].map(|k| f32::from(k) * 14.0 - 140.0);
+                let at = |z| openness.at(Vec3A::new(x + dx, y + dy, z), Vec3A::Z);
+                let (street, high) = (at(0.0), at(90.0));
+                assert!((0.03..=1.0).contains(&street) && street <= high + 1e-6);
+                assert!(high > 0.8, "{high}");
+            }
+        }
+    }
+}

@@ -53,6 +53,19 @@ impl Silhouette {
         pose: &RigPose,
         eye: Eye,
     ) -> Self {
+        Self::measure_samples(stage, vehicle, rig, pose, eye, &mut |_, _| {})
+    }
+
+    /// [`Silhouette::measure`] that hands out every sample that sees the vehicle: its pixel and the
+    /// part of the pixel that it stands for, sixteenths.
+    pub(crate) fn measure_samples(
+        stage: &Stage,
+        vehicle: usize,
+        rig: &StereoRig,
+        pose: &RigPose,
+        eye: Eye,
+        seen: &mut dyn FnMut([u32; 2], u8),
+    ) -> Self {
         let Some(area) = vehicle_rectangle(stage, vehicle, rig, pose, eye) else {
             return Self::NONE;
         };
@@ -73,11 +86,13 @@ impl Silhouette {
             pose,
             eye,
         };
-        sight.on_grid(&Grid {
+        let grid = Grid {
             origin,
             step: [1.0 / f64::from(per_side); 2],
             count,
-        })
+        };
+        let sixteenths = (16 / (per_side * per_side)) as u8;
+        sight.on_grid(&grid, &mut |pixel| seen(pixel, sixteenths))
     }
 
     /// A quick look with the same number of samples however large the vehicle is in the image: good
@@ -106,7 +121,7 @@ impl Silhouette {
             step,
             count: [SAMPLES; 2],
         };
-        sight.on_grid(&grid).visible
+        sight.on_grid(&grid, &mut |_| {}).visible
     }
 
     const NONE: Self = Self {
@@ -116,7 +131,7 @@ impl Silhouette {
 }
 
 impl Sight<'_> {
-    fn on_grid(&self, grid: &Grid) -> Silhouette {
+    fn on_grid(&self, grid: &Grid, on_seen: &mut dyn FnMut([u32; 2])) -> Silhouette {
         let camera = self.eye.camera(self.rig);
         let origin = self.pose.eye_world(self.rig, self.eye);
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
@@ -138,6 +153,7 @@ impl Sight<'_> {
                     continue;
                 }
                 seen += 1;
+                on_seen([middle_x as u32, middle_y as u32]);
                 let cell = PixelBox::new(x, y, x + grid.step[0], y + grid.step[1]);
                 tight = Some(tight.map_or(cell, |b| b.around(&cell)));
             }

@@ -138,4 +138,22 @@ mod tests {
             assert!(!scene.in_building(scene.target().center_world, 3.0));
         }
     }
+
+    #[test]
+    fn held_out_bodies_and_paints_never_appear() {
+        use crate::world::{BodyStyle, Paint};
+        let bodies = [BodyStyle::Taxi, BodyStyle::Truck, BodyStyle::Compact];
+        let paints = [Paint::Red, Paint::Navy];
+        let wardrobe = Wardrobe {
+            bodies: &bodies,
+            paints: &paints,
+        };
+        for number in 0..8 {
+            let scene = Scene::draw_dressed(2, number, 60.0, 6, 30.0, wardrobe);
+            for vehicle in &scene.vehicles {
+                assert!(bodies.contains(&vehicle.style()));
+                assert!(paints.contains(&vehicle.paint_name()));
+            }
+        }
+    }
 }

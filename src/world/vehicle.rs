@@ -153,6 +153,8 @@ impl Shape {
 #[derive(Debug, Clone)]
 pub struct Vehicle {
     pub(crate) shape: Shape,
+    /// Name of its paint.
+    finish: Paint,
     /// Diffuse colour of its paint, and colour of the metal flakes in it.
     pub(crate) paint: Vec3A,
     pub(crate) flakes: Vec3A,
@@ -212,11 +214,13 @@ impl Vehicle {
             .colors()
             .map(|c| (Vec3A::from_array(c) * shade).min(Vec3A::splat(0.80)));
         let mesh = body::build(&shape);
-        Self::place(shape, colors, rng.random(), &mesh, at, heading)
+        let seed = rng.random();
+        Self::place(shape, paint, colors, seed, &mesh, at, heading)
     }
 
     fn place(
         shape: Shape,
+        finish: Paint,
         [paint, flakes]: [Vec3A; 2],
         seed: u32,
         mesh: &Mesh,
@@ -251,6 +255,7 @@ impl Vehicle {
         let size_m = (high - low).to_array().map(f64::from);
         Self {
             shape,
+            finish,
             paint,
             flakes,
             seed,
@@ -264,6 +269,11 @@ impl Vehicle {
     /// Style of its body.
     pub fn style(&self) -> BodyStyle {
         self.shape.style
+    }
+
+    /// Its paint.
+    pub const fn paint_name(&self) -> Paint {
+        self.finish
     }
 
     /// Radius of the bounding sphere: half the diagonal of the bounding box, metres.
@@ -322,6 +332,9 @@ mod tests {
                 assert!(apart.sqrt() <= reach + 1e-4);
                 assert!(vertex.z >= -1e-6);
             }
+            let heights = vehicle.triangles.iter().flat_map(|t| t.vertices);
+            let lowest = heights.map(|v| v.z).fold(f32::INFINITY, f32::min);
+            assert!(lowest < 1e-3, "wheels hang {lowest} m over the ground");
         }
     }
 

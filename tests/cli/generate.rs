@@ -1,0 +1,142 @@
+//! Generation that is killed, grows, or is asked for more than pictures.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use super::binary::Workplace;
+
+/// The files of a dataset by name.
+fn content(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut content = BTreeMap::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        if path.is_dir() {
+            for (inner, bytes) in self::content(&path) {
+                content.insert(format!("{name}/{inner}"), bytes);
+            }
+        } else {
+            content.insert(name, fs::read(&path).unwrap());
+        }
+    }
+    content
+}
+
+#[cfg(unix)]
+#[test]
+fn a_killed_generation_goes_on_without_redoing_or_spoiling_a_frame() {
+    let place = Workplace::new();
+    let generate = |out: &str| format!("generate --config tiny.toml --out {out}");
+    place.write(
+        "tiny.toml",
+        "frames = 24\nframes_per_scene = 4\nwidth = 160\nheight = 90\nvehicles = 3\n",
+    );
+    let mut child = place
+        .command()
+        .args(generate("killed").split_whitespace())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let begun = Instant::now();
+    let frames = place.path("killed/frames");
+    let written = || fs::read_dir(&frames).map_or(0, Iterator::count);
+    while written() < 20 {
+        assert!(
+            begun.elapsed() < Duration::from_mins(2),
+            "nothing was generated"
+        );
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    // SIGKILL: the program cannot clean up.
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(!place.path("killed/dataset.toml").exists());
+    // When the whole frames were written; the others are redone.
+    let times: Vec<_> = (0..24)
+        .filter_map(|stamp| {
+            let names = ["left_", "right_"].map(|side| format!("{side}{stamp:05}"));
+            let files = names
+                .iter()
+                .flat_map(|n| [format!("{n}.png"), format!("{n}.txt")]);
+            let times = files.map(|file| {
+                let path = frames.join(file);
+                let time = fs::metadata(&path).ok()?.modified().ok()?;
+                Some((path, time))
+            });
+            times.collect::<Option<Vec<_>>>()
+        })
+        .flatten()
+        .collect();
+    let kept = times.len() / 4;
+    let made = place.line(&generate("killed")).success();
+    let expected = match kept {
+        24 => "kept".to_owned(),
+        _ => format!("24 frames (20 train, 4 val, 0 test), {kept} of them kept"),
+    };
+    assert!(made.contains(&expected), "{made} should say {expected}");
+    for (path, time) in times {
+        assert_eq!(fs::metadata(&path).unwrap().modified().unwrap(), time);
+    }
+    place.line(&generate("whole")).success();
+    assert!(content(&place.path("killed")) == content(&place.path("whole")));
+}
+
+#[test]
+fn a_dataset_grows_and_says_how_many_frames_it_has_now() {
+    let place = Workplace::new();
+    place.write("tiny.toml", super::TINY_DATASET);
+    let generate = "generate --config tiny.toml --out d";
+    place.line(generate).success();
+    let made = place.line("generate --add 4 --out d").success();
+    assert!(
+        made.contains("dataset d: 12 frames") && made.contains("8 of them kept"),
+        "{made}"
+    );
+    place
+        .line(generate)
+        .error_says(&["already holds these 10 frames"]);
+    let made = place.line(&format!("{generate} --frames 12")).success();
+    assert!(made.contains("dataset d: 14 frames"), "{made}");
+    place.line("generate --add 4").error_says(&["--out"]);
+    place
+        .line("generate --add 4 --out d --seed 3")
+        .error_says(&["--add", "--seed"]);
+    place
+        .line("generate --add 0 --out d")
+        .error_says(&["frames = 0"]);
+}
+
+#[test]
+fn extra_outputs_and_vehicles_are_asked_for_by_name() {
+    let place = Workplace::new();
+    place.write("tiny.toml", super::TINY_DATASET);
+    place
+        .line("generate --config tiny.toml --vehicles 2-3 --outputs depth,poses --out d")
+        .success();
+    let content = content(&place.path("d"));
+    let count = |folder: &str| {
+        content
+            .keys()
+            .filter(|name| name.starts_with(folder))
+            .count()
+    };
+    assert_eq!(
+        (count("depth/"), count("disparity/"), count("frames/")),
+        (16, 0, 32)
+    );
+    assert!(content.contains_key("poses.csv") && content.contains_key("objects.csv"));
+    place
+        .line("generate --outputs colour --out o")
+        .error_says(&["colour", "disparity"]);
+    place
+        .line("generate --vehicles few --out o")
+        .error_says(&["few", "4-8"]);
+    place
+        .line("generate --vehicles 8-4 --out o")
+        .error_says(&["vehicles = [8, 4]"]);
+    assert!(!place.path("o").exists());
+}
