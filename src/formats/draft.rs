@@ -1,5 +1,6 @@
 //! A dataset that has been read from foreign files and waits to be written.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -93,7 +94,7 @@ pub(super) fn stamps(names: &[String]) -> Vec<u64> {
         })
         .collect();
     let distinct = |numbers: &Vec<u64>| {
-        let set: std::collections::BTreeSet<_> = numbers.iter().collect();
+        let set: BTreeSet<_> = numbers.iter().collect();
         set.len() == names.len()
     };
     numbers
@@ -298,19 +299,20 @@ impl Draft {
         for frame in &self.frames {
             *counts.of_mut(frame.row.split) += 1;
         }
-        // Labels come once per kind of box.
-        let kind = self.kinds.first().copied().unwrap_or(BoxKind::Tight);
-        let vehicles = || {
-            let labels = self.frames.iter().filter_map(|frame| frame.labels.first());
-            labels.flatten().filter(move |label| label.kind == kind)
-        };
+        // Labels come once per kind of box, and not every vehicle has every kind.
+        let mut vehicles: BTreeMap<(u64, u32), &Label> = BTreeMap::new();
+        for frame in &self.frames {
+            for label in frame.labels.first().into_iter().flatten() {
+                vehicles.insert((frame.row.stamp, label.id), label);
+            }
+        }
+        let count =
+            |wanted: fn(&Label) -> bool| vehicles.values().filter(|label| wanted(label)).count();
         ImportReport {
             counts,
-            vehicles: vehicles().count(),
-            ignored: vehicles().filter(|label| label.ignored).count(),
-            with_distance: vehicles()
-                .filter(|label| label.distance_m.is_some())
-                .count(),
+            vehicles: vehicles.len(),
+            ignored: count(|label| label.ignored),
+            with_distance: count(|label| label.distance_m.is_some()),
             left_out: self.problems,
         }
     }

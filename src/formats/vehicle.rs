@@ -30,18 +30,25 @@ pub(super) struct Sighting {
 /// A box that the source does not give is its box in the other image, moved edge by edge as the
 /// projected box in space moves: it keeps the style of the labels, and its disparity is that of
 /// the geometry. An edge at the image's border hides where the vehicle ends; there the projection
-/// alone decides.
+/// alone decides. A right box whose disparity is not that of the box in space counts as not given:
+/// copies of KITTI with wrong ones are about.
 pub(super) fn labels(rig: &StereoRig, cuboid_rig: &Cuboid, sighting: &Sighting) -> [Vec<Label>; 2] {
     let half_m = rig.baseline_m / 2.0;
     let seen = [half_m, -half_m].map(|offset_m| cuboid_rig.moved([offset_m, 0.0, 0.0]));
     let projected = [seen[0].projected(&rig.left), seen[1].projected(&rig.right)];
     let distance_m = cuboid_rig.distance_m();
+    let [left_box, right_box] = sighting.boxes;
+    let right_box = right_box.filter(|right| {
+        let agrees = |left: &PixelBox| rig.boxes_agree(left, right, seen[0].center_camera[2]);
+        left_box.as_ref().is_none_or(agrees)
+    });
+    let boxes = [left_box, right_box];
     [0, 1].map(|i| {
         let side = Side::ALL[i];
         let camera = rig.camera(side);
         let size = [f64::from(camera.width), f64::from(camera.height)];
-        let tight = sighting.boxes[i].or_else(|| {
-            let known = sighting.boxes[1 - i];
+        let tight = boxes[i].or_else(|| {
+            let known = boxes[1 - i];
             match (known, projected[1 - i], projected[i]) {
                 (Some(known), Some(from), Some(to)) => Some(moved(&known, &from, &to, size)),
                 _ => projected[i],

@@ -99,7 +99,7 @@ fn kitti_becomes_a_sound_dataset_whose_numbers_are_those_of_the_geometry() {
         assert!((disparity - FOCAL * BASELINE / z).abs() < 1e-3);
         // The right box is the left one moved by the disparity of the near face.
         let near = FOCAL * BASELINE / (z - 2.0);
-        let moved = vehicle.left.box_pixel.x_max - vehicle.right.box_pixel.x_max;
+        let moved = vehicle.left.box_pixel.x_min - vehicle.right.box_pixel.x_min;
         assert!((moved - near).abs() < 1e-2, "{moved} {near}");
         // Images are copied as they are.
         let ending =
@@ -111,21 +111,28 @@ fn kitti_becomes_a_sound_dataset_whose_numbers_are_those_of_the_geometry() {
 }
 
 #[test]
-fn boxes_of_label_3_are_taken_where_they_are_given() {
+fn boxes_of_label_3_are_taken_where_their_disparity_is_possible() {
     let place = Place::new();
     let options = kitti_folder(&place);
     let own = car(-2.0, 12.0);
-    let words: Vec<&str> = own.split(' ').collect();
-    let mut words: Vec<String> = words.into_iter().map(str::to_owned).collect();
-    (words[4], words[6]) = ("100".to_owned(), "150".to_owned());
-    place.write("kitti/training/label_3/000000.txt", &words.join(" "));
-    kitti::import(&options, &place.target("out"), &Silent).unwrap();
-    let frame = &place.open("out").frames[0];
-    let vehicle = &frame.vehicles(BoxKind::Tight)[0];
-    assert_eq!(
-        (vehicle.right.box_pixel.x_min, vehicle.right.box_pixel.x_max),
-        (100.5, 150.5)
-    );
+    let mut words: Vec<String> = own.split(' ').map(str::to_owned).collect();
+    let left: Vec<f64> = [4, 6]
+        .iter()
+        .map(|&i: &usize| words[i].parse().unwrap())
+        .collect();
+    let mut with_shift = |name: &str, shift: f64| {
+        for (i, edge) in [4, 6].into_iter().zip(&left) {
+            words[i] = (edge - shift).to_string();
+        }
+        place.write("kitti/training/label_3/000000.txt", &words.join(" "));
+        kitti::import(&options, &place.target(name), &Silent).unwrap();
+        let frame = place.open(name).frames[0].clone();
+        let vehicle = &frame.vehicles(BoxKind::Tight)[0];
+        vehicle.left.box_pixel.x_min - vehicle.right.box_pixel.x_min
+    };
+    // The disparity of the centre is 16.2 px, that of the near face 19.4 px.
+    assert!((with_shift("given", 18.0) - 18.0).abs() < 1e-3);
+    assert!((with_shift("doubled", 36.0) - 19.44).abs() < 1e-3);
 }
 
 #[test]
