@@ -5,26 +5,38 @@
 //! run goes on where it was.
 
 mod config;
+mod label;
 mod plan;
 mod settle;
 mod write;
 
 use std::path::Path;
 
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-pub use config::{GenerateConfig, SplitMode, TestProtocol};
+pub use config::{GenerateConfig, SplitMode, TestProtocol, VehicleCount};
 pub use plan::view_of_azimuth;
 
-use crate::dataset::{BoxKind, FrameRow, Label, Split};
+use crate::dataset::{FrameRow, ObjectRow, Split};
 use crate::error::{Error, Result};
-use crate::geometry::{SphereTarget, StereoRig, sphere_box};
+use crate::geometry::StereoRig;
 use crate::progress::Progress;
-use crate::render::{Eye, RenderSettings, RigPose, Silhouette, Stage, render};
+use crate::render::{Eye, RenderSettings, Stage, render};
 use crate::world::Scene;
+use crate::world::noise::derive_seed;
+use label::{labels, objects};
 use plan::{SceneDraft, plan_scenes};
 use settle::Capture;
 use write::Target;
+
+/// Random numbers for how many vehicles a scene has.
+const COUNT_STREAM: u64 = 7;
+/// The vehicles around the target stand within this part of the longest distance, and within these
+/// bounds, metres: near enough to be in its pictures, far enough to be at other distances.
+const TRAFFIC_PART: f64 = 0.6;
+const TRAFFIC_M: [f64; 2] = [20.0, 90.0];
 
 /// What [`generate`] did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -61,16 +73,19 @@ pub fn generate(
     let scenes = plan_scenes(config);
     let total = scenes.iter().map(|scene| scene.frames.len()).sum::<usize>();
     progress.begin("rendering frames", total as u64);
-    let done: Result<Vec<Vec<(FrameRow, bool)>>> = scenes
+    let done: Result<Vec<Vec<Done>>> = scenes
         .par_iter()
         .map(|scene| generate_scene(config, &rig, scene, &target, progress))
         .collect();
     progress.end();
-    let mut done: Vec<(FrameRow, bool)> = done?.into_iter().flatten().collect();
-    done.sort_by_key(|(row, _)| row.stamp);
-    let reused = done.iter().filter(|(_, reused)| *reused).count();
-    let rows: Vec<FrameRow> = done.into_iter().map(|(row, _)| row).collect();
-    target.finish(config, rig, &rows)?;
+    let mut done: Vec<Done> = done?.into_iter().flatten().collect();
+    done.sort_by_key(|done| done.row.stamp);
+    let reused = done.iter().filter(|done| done.reused).count();
+    let (rows, objects): (Vec<FrameRow>, Vec<Vec<ObjectRow>>) = done
+        .into_iter()
+        .map(|done| (done.row, done.objects))
+        .unzip();
+    target.finish(config, rig, &rows, &objects.concat())?;
     let count = |split| rows.iter().filter(|row| row.split == split).count();
     Ok(GenerateReport {
         frames: rows.len(),
@@ -81,14 +96,22 @@ pub fn generate(
     })
 }
 
-/// Renders what is missing of one scene; the flags tell which frames were there already.
+/// A frame that is on disk.
+struct Done {
+    row: FrameRow,
+    objects: Vec<ObjectRow>,
+    /// Whether it was there already.
+    reused: bool,
+}
+
+/// Renders what is missing of one scene.
 fn generate_scene(
     config: &GenerateConfig,
     rig: &StereoRig,
     scene: &SceneDraft,
     target: &Target,
     progress: &dyn Progress,
-) -> Result<Vec<(FrameRow, bool)>> {
+) -> Result<Vec<Done>> {
     if progress.interrupted() {
         return Err(interrupted());
     }
@@ -97,7 +120,13 @@ fn generate_scene(
         .iter()
         .map(|frame| frame.distance_m)
         .fold(0.0, f64::max);
-    let stage = Stage::new(Scene::draw(config.seed, scene.number, reach_m));
+    let stage = Stage::new(Scene::draw_with_traffic(
+        config.seed,
+        scene.number,
+        reach_m,
+        vehicles_of_scene(config, scene.number),
+        (TRAFFIC_PART * config.distance_max_m).clamp(TRAFFIC_M[0], TRAFFIC_M[1]),
+    ));
     scene
         .frames
         .par_iter()
@@ -111,9 +140,18 @@ fn generate_scene(
                 write_frame(config, rig, &stage, &capture, target)?;
             }
             progress.advance(1);
-            Ok((capture.row, reused))
+            Ok(Done {
+                objects: objects(&stage, &capture),
+                row: capture.row,
+                reused,
+            })
         })
         .collect()
+}
+
+fn vehicles_of_scene(config: &GenerateConfig, number: u32) -> u32 {
+    let seed = derive_seed(config.seed, COUNT_STREAM, u64::from(number));
+    Pcg64::seed_from_u64(seed).random_range(config.vehicles.least..=config.vehicles.most)
 }
 
 fn interrupted() -> Error {
@@ -138,44 +176,10 @@ fn write_frame(
     };
     for eye in Eye::BOTH {
         let image = render(stage, rig, &capture.pose, eye, capture.sun, &settings);
-        let labels = labels(stage, rig, &capture.pose, eye, capture.distance_m);
+        let labels = labels(config, stage, rig, capture, eye);
         target.write_view(capture.row.stamp, eye, &image, &labels)?;
     }
     Ok(())
-}
-
-/// Both boxes of the vehicle in one image.
-fn labels(stage: &Stage, rig: &StereoRig, pose: &RigPose, eye: Eye, distance_m: f64) -> Vec<Label> {
-    let vehicle = &stage.scene().vehicle;
-    let camera = eye.camera(rig);
-    let [x, y, z] = pose.rig_from_world(vehicle.center_world);
-    let center_camera = [x - eye.offset_m(rig), y, z];
-    let silhouette = Silhouette::measure(stage, rig, pose, eye);
-    let sphere = SphereTarget {
-        center_camera,
-        forward_camera: pose.rig_direction_from_world(vehicle.forward_world),
-        radius_min_m: vehicle.radius_min_m(),
-        radius_sphere_m: vehicle.radius_sphere_m(),
-    };
-    let boxes = [
-        (BoxKind::Sphere, sphere_box(camera, &sphere)),
-        (BoxKind::Tight, silhouette.tight),
-    ];
-    boxes
-        .into_iter()
-        .filter_map(|(kind, box_pixel)| {
-            Some(Label {
-                id: 0,
-                class: 0,
-                box_pixel: box_pixel?,
-                center_pixel: camera.pixel_from_camera(center_camera)?,
-                distance_m: Some(distance_m),
-                kind,
-                visible: Some(silhouette.visible),
-                ignored: false,
-            })
-        })
-        .collect()
 }
 
 #[cfg(test)]

@@ -16,9 +16,9 @@ use burn::tensor::{Device, Tensor};
 use support::fixture::{Fixture, assert_abs, assert_close};
 use support::network::Extent;
 use support::{devices, network};
-use twinsight::detector::assign::{Target, complete_iou};
+use twinsight::detector::assign::complete_iou;
 use twinsight::detector::decode::{Anchors, expected_sides};
-use twinsight::detector::loss::{DetectionLoss, LossGains, detection_loss};
+use twinsight::detector::loss::{DetectionLoss, ImageTargets, LossGains, detection_loss};
 use twinsight::detector::weights::tensor_name;
 use twinsight::detector::{FlatOutput, Yolo11};
 
@@ -43,7 +43,7 @@ fn predicted_boxes(output: &FlatOutput, anchors: &Anchors) -> Vec<[f64; 4]> {
 fn check_loss(
     fixture: &Fixture,
     output: &FlatOutput,
-    targets: &[Vec<Target>],
+    targets: &[ImageTargets],
     [batch, height, width]: Extent,
     tolerance: f64,
     what: &str,
@@ -84,7 +84,7 @@ fn check_loss(
     let mut per_class = vec![0.0; classes];
     for (image, positive) in &rows {
         per_image[*image] += positive.weight;
-        per_class[targets[*image][positive.target].class] += positive.weight;
+        per_class[targets[*image].targets[positive.target].class] += positive.weight;
     }
     close(&per_image, "target_scores_sum_per_image");
     close(&per_class, "target_scores_per_class");
@@ -95,7 +95,7 @@ fn check_loss(
     close(&predicted.concat(), "pred_boxes_xyxy_px");
     let assigned: Vec<_> = rows
         .iter()
-        .map(|(image, p)| targets[*image][p.target].box_letterbox)
+        .map(|(image, p)| targets[*image].targets[p.target].box_letterbox)
         .collect();
     close(&assigned.concat(), "fg_target_box_px");
     if !rows.is_empty() {
@@ -180,7 +180,7 @@ fn a_batch_without_targets_gives_the_reference_loss_and_gradient() {
 }
 
 /// Loss and gradients of a detector; `prepare` may change it and the targets.
-fn check_network(name: &str, prepare: fn(Yolo11, &mut [Vec<Target>]) -> Yolo11) {
+fn check_network(name: &str, prepare: fn(Yolo11, &mut [ImageTargets]) -> Yolo11) {
     let fixture = Fixture::load(name);
     let device = devices::flex().autodiff();
     let shape = fixture.meta_sizes("input_shape");
@@ -258,7 +258,7 @@ fn gradients_through_the_network_in_training_match_for_one_class() {
         // One predicted box begins 0.0004 pixels left of its target, less than what rounding in
         // the forward pass moves it by (0.0005 pixels, typically). The gradient of their overlap
         // jumps where the edges meet, so the target is moved out of the way.
-        targets[0][1].box_letterbox[0] += 0.004;
+        targets[0].targets[1].box_letterbox[0] += 0.004;
         detector
     });
 }

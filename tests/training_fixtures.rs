@@ -137,7 +137,7 @@ fn three_clipped_steps_through_the_network_end_at_the_reference_weights_and_stat
     let mut targets = network::targets(&fixture, extent);
     // As in the test of the gradients: one predicted edge lies on its target's edge to within
     // rounding, where the overlap's gradient jumps.
-    targets[0][1].box_letterbox[0] += 0.004;
+    targets[0].targets[1].box_letterbox[0] += 0.004;
     let anchors = Anchors::new(extent[1], extent[2]);
     let input = network::detector_input(&fixture, &device);
     let mut model = network::detector(&fixture, &device);

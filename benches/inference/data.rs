@@ -157,6 +157,7 @@ fn time_images(dataset: &StereoDataset, cache: usize) -> Result<f64> {
                 augmented_letterbox(
                     &item.image,
                     &item.boxes,
+                    &item.ignored,
                     input,
                     &augment,
                     &mut random,

@@ -38,7 +38,7 @@ pub fn stage() -> Stage {
 
 /// A view from behind the vehicle, above the road, from this distance.
 pub fn view(stage: &Stage, distance_m: f64) -> Result<RigPose> {
-    let vehicle = &stage.scene().vehicle;
+    let vehicle = stage.scene().target();
     let [forward_x, forward_y, _] = vehicle.forward_world;
     let [x, y, z] = vehicle.center_world;
     let (back_m, up_m) = (

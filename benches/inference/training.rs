@@ -9,7 +9,7 @@ use burn::optim::{GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Tensor};
 use twinsight::detector::assign::Target;
 use twinsight::detector::decode::Anchors;
-use twinsight::detector::loss::{LossGains, detection_loss};
+use twinsight::detector::loss::{ImageTargets, LossGains, detection_loss};
 use twinsight::detector::{RawOutput, Scale};
 use twinsight::ranging::ranging_loss;
 use twinsight::train::TrainConfig;
@@ -98,7 +98,7 @@ fn vehicle_loss(output: &RawOutput, anchors: &Anchors) -> Result<Tensor<1>> {
         class: 0,
         box_letterbox: [140.0, 150.0, 180.0, 180.0],
     };
-    let targets = vec![vec![vehicle]; batch];
+    let targets = vec![ImageTargets::from(vec![vehicle]); batch];
     let loss = detection_loss(&output.flatten(), &targets, anchors, LossGains::default())?;
     Ok(loss.total)
 }

@@ -81,7 +81,7 @@ pub struct Label {
     pub kind: BoxKind,
     /// Fraction of the silhouette that is inside the image and not hidden, 0 to 1.
     pub visible: Option<f64>,
-    /// Neither to be learnt nor to be judged: finding it is right, not finding it is no miss.
+    /// Neither to be learnt nor to be judged: to find it is no error, nor to miss it.
     pub ignored: bool,
 }
 

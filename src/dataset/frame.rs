@@ -63,14 +63,29 @@ impl FrameImage {
         self.labels.iter().filter(move |label| label.kind == kind)
     }
 
-    /// Class and box of each label of one kind, clipped to the image: what a detector is trained
-    /// to find.
+    /// Class and box of each label of one kind that is not ignored, clipped to the image: what a
+    /// detector is trained to find.
     pub fn boxes(&self, kind: BoxKind, camera: &Camera) -> Vec<(u32, PixelBox)> {
+        self.clipped(kind, camera)
+            .filter(|(label, _)| !label.ignored)
+            .map(|(label, area)| (label.class, area))
+            .collect()
+    }
+
+    /// The boxes of the ignored labels of one kind, clipped to the image: what a detector may find
+    /// or not.
+    pub fn ignored_boxes(&self, kind: BoxKind, camera: &Camera) -> Vec<PixelBox> {
+        self.clipped(kind, camera)
+            .filter(|(label, _)| label.ignored)
+            .map(|(_, area)| area)
+            .collect()
+    }
+
+    fn clipped(&self, kind: BoxKind, camera: &Camera) -> impl Iterator<Item = (&Label, PixelBox)> {
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
         self.labels_of(kind)
-            .map(|label| (label.class, label.box_pixel.clipped(width, height)))
+            .map(move |label| (label, label.box_pixel.clipped(width, height)))
             .filter(|(_, area)| area.is_valid())
-            .collect()
     }
 
     /// Decodes the image.
@@ -134,7 +149,8 @@ impl Frame {
         std::iter::once((Side::Left, &self.left)).chain(right)
     }
 
-    /// The vehicles that have a label of this kind in both images and a known distance, by id.
+    /// The vehicles that have a label of this kind in both images and a known distance, and are
+    /// ignored in neither, by id.
     ///
     /// A vehicle that only one camera sees is no stereo pair and does not appear.
     pub fn vehicles(&self, kind: BoxKind) -> Vec<StereoLabel> {
@@ -158,6 +174,19 @@ impl Frame {
             .collect();
         vehicles.sort_by_key(|vehicle| vehicle.id);
         vehicles
+    }
+
+    /// The boxes in one image of the vehicles that [`Frame::vehicles`] leaves out: ignored in
+    /// either image, or seen by one camera only. To find such a vehicle is no error, nor is it one
+    /// to miss it.
+    pub fn unjudged_boxes(&self, kind: BoxKind, side: Side) -> Vec<PixelBox> {
+        let judged = self.vehicles(kind);
+        self.images()
+            .filter(|(of, _)| *of == side)
+            .flat_map(|(_, image)| image.labels_of(kind))
+            .filter(|label| judged.iter().all(|vehicle| vehicle.id != label.id))
+            .map(|label| label.box_pixel)
+            .collect()
     }
 
     /// Decodes both images, left first.

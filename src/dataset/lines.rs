@@ -43,7 +43,7 @@ pub fn stamp_name(stamp: u64) -> String {
 const DECIMALS_SCALE: f64 = 1e4;
 
 /// The shortest text of a number rounded to four decimals; integers have no decimal point.
-fn short(value: f64) -> f64 {
+pub(super) fn short(value: f64) -> f64 {
     // The sum turns -0 into 0.
     (value * DECIMALS_SCALE).round() / DECIMALS_SCALE + 0.0
 }

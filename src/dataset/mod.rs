@@ -11,6 +11,7 @@ pub(crate) mod fixture;
 mod format;
 mod frame;
 mod lines;
+mod objects;
 mod prepare;
 mod reader;
 mod resplit;
@@ -24,6 +25,7 @@ pub use lines::{
     FRAMES_HEADER, LABEL_HEADER, frames_csv_text, label_file_text, read_frames_csv, stamp_name,
     write_frames_csv,
 };
+pub use objects::{ObjectRow, objects_csv_text, read_objects_csv, write_objects_csv};
 pub use prepare::{PrepareReport, is_prepared, prepare};
 pub use reader::StereoDataset;
 pub use resplit::SplitBy;

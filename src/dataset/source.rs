@@ -65,6 +65,8 @@ pub struct DetectionItem {
     pub image: Arc<RgbImage>,
     /// Class and box, pixels of the full image, clipped to it.
     pub boxes: Vec<(u32, PixelBox)>,
+    /// Boxes of vehicles that may be found or not, pixels of the full image, clipped to it.
+    pub ignored: Vec<PixelBox>,
     /// The image file.
     pub path: PathBuf,
     /// The frame's stamp.
@@ -87,6 +89,7 @@ struct DetectionEntry {
     stamp: u64,
     side: Side,
     boxes: Vec<(u32, PixelBox)>,
+    ignored: Vec<PixelBox>,
 }
 
 impl DetectionSource {
@@ -106,6 +109,7 @@ impl DetectionSource {
                 let camera = *rig.camera(side);
                 DetectionEntry {
                     boxes: image.boxes(kind, &camera),
+                    ignored: image.ignored_boxes(kind, &camera),
                     image: image.clone(),
                     camera,
                     stamp: frame.row.stamp,
@@ -130,6 +134,7 @@ impl Dataset<DetectionItem> for DetectionSource {
         Ok(DetectionItem {
             image,
             boxes: entry.boxes.clone(),
+            ignored: entry.ignored.clone(),
             path: entry.image.path.clone(),
             stamp: entry.stamp,
             side: entry.side,

@@ -123,34 +123,42 @@ fn find(row: &[Alignment], anchor: usize) -> Option<&Alignment> {
 
 /// The candidates of a target in the order of their anchors.
 fn align(predictions: Predictions, target: &Target, anchors: &Anchors) -> Vec<Alignment> {
-    let [x_min, y_min, x_max, y_max] = target.box_letterbox;
-    let grow_x = (SIDE_FLOOR_PX - (x_max - x_min)).max(0.0) / 2.0;
-    let grow_y = (SIDE_FLOOR_PX - (y_max - y_min)).max(0.0) / 2.0;
     let count = anchors.len();
-    (0..count)
-        .filter_map(|anchor| {
-            let stride = f64::from(anchors.strides[anchor]);
-            let [x, y] = anchors.points_grid[anchor].map(|v| f64::from(v) * stride);
-            let inside = [
-                x - (x_min - grow_x),
-                y - (y_min - grow_y),
-                x_max + grow_x - x,
-                y_max + grow_y - y,
-            ];
-            if inside.iter().any(|&edge| edge <= EPSILON) {
-                return None;
-            }
+    anchors_inside(target.box_letterbox, anchors)
+        .map(|anchor| {
             let predicted = predictions.box_letterbox(anchors, anchor);
             let overlap = complete_iou(target.box_letterbox, predicted).max(0.0);
             let score = f64::from(predictions.scores[target.class * count + anchor]);
             let metric = score.sqrt() * overlap.powi(OVERLAP_EXPONENT);
-            Some(Alignment {
+            Alignment {
                 anchor,
                 overlap,
                 metric,
-            })
+            }
         })
         .collect()
+}
+
+/// The anchor points in a box (edges, pixels of the network's input), which is enlarged where it
+/// is small.
+pub(super) fn anchors_inside(
+    [x_min, y_min, x_max, y_max]: [f64; 4],
+    anchors: &Anchors,
+) -> impl Iterator<Item = usize> {
+    let grow_x = (SIDE_FLOOR_PX - (x_max - x_min)).max(0.0) / 2.0;
+    let grow_y = (SIDE_FLOOR_PX - (y_max - y_min)).max(0.0) / 2.0;
+    (0..anchors.len()).filter(move |&anchor| {
+        let stride = f64::from(anchors.strides[anchor]);
+        let [x, y] = anchors.points_grid[anchor].map(|v| f64::from(v) * stride);
+        [
+            x - (x_min - grow_x),
+            y - (y_min - grow_y),
+            x_max + grow_x - x,
+            y_max + grow_y - y,
+        ]
+        .iter()
+        .all(|&edge| edge > EPSILON)
+    })
 }
 
 /// The candidates among the [`TOP_K`] anchors with the largest metric; anchors that are not

@@ -4,7 +4,7 @@
 use burn::tensor::activation::{log_sigmoid, log_softmax, sigmoid};
 use burn::tensor::{Int, Tensor, TensorData};
 
-use super::assign::{Positive, Predictions, Target, assign};
+use super::assign::{Positive, Predictions, Target, anchors_inside, assign};
 use super::decode::{Anchors, expected_sides};
 use super::head::{FlatOutput, REG_MAX};
 use crate::error::{Error, Result};
@@ -30,6 +30,24 @@ impl Default for LossGains {
     }
 }
 
+/// What one image holds.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ImageTargets {
+    /// The vehicles to find.
+    pub targets: Vec<Target>,
+    /// Boxes (edges, pixels of the network's input) of what may be found or not.
+    pub ignored: Vec<[f64; 4]>,
+}
+
+impl From<Vec<Target>> for ImageTargets {
+    fn from(targets: Vec<Target>) -> Self {
+        Self {
+            targets,
+            ignored: Vec::new(),
+        }
+    }
+}
+
 /// The loss of one batch.
 #[derive(Debug, Clone)]
 pub struct DetectionLoss {
@@ -48,11 +66,14 @@ const LARGEST_SIDE: f64 = (REG_MAX - 1) as f64 - 0.01;
 
 /// Computes the loss of a batch against the targets of each image.
 ///
+/// An anchor in an ignored box that learns no target has no loss: whether it finds something there
+/// is its own affair.
+///
 /// # Errors
 /// Predictions that cannot be read back from the device.
 pub fn detection_loss(
     output: &FlatOutput,
-    targets: &[Vec<Target>],
+    targets: &[ImageTargets],
     anchors: &Anchors,
     gains: LossGains,
 ) -> Result<DetectionLoss> {
@@ -70,7 +91,7 @@ pub fn detection_loss(
     let mut weight_sum = 0.0;
     for (image, (positives, targets)) in positives.iter().zip(targets).enumerate() {
         for positive in positives {
-            let target = &targets[positive.target];
+            let target = &targets.targets[positive.target];
             let anchor = positive.anchor;
             class_targets[(image * classes + target.class) * count + anchor] =
                 positive.weight as f32;
@@ -101,6 +122,13 @@ pub fn detection_loss(
         &device,
     );
     let cross_entropy = scores.clone() * (-class_targets + 1.0) - log_sigmoid(scores);
+    let cross_entropy = match class_mask(targets, &positives, anchors, classes) {
+        Some(mask) => {
+            let shape = [batch, classes, count];
+            cross_entropy * Tensor::from_data(TensorData::new(mask, shape), &device)
+        }
+        None => cross_entropy,
+    };
     let class_item = cross_entropy.sum().mul_scalar(normalizer * gains.classes);
 
     let (box_item, distribution_item) = if rows.is_empty() {
@@ -156,10 +184,40 @@ pub fn detection_loss(
     })
 }
 
+/// 0 where an anchor lies in an ignored box and learns no target, 1 elsewhere,
+/// `[batch, classes, anchors]`; None where nothing is ignored.
+fn class_mask(
+    targets: &[ImageTargets],
+    positives: &[Vec<Positive>],
+    anchors: &Anchors,
+    classes: usize,
+) -> Option<Vec<f32>> {
+    if targets.iter().all(|image| image.ignored.is_empty()) {
+        return None;
+    }
+    let count = anchors.len();
+    let mut mask = Vec::with_capacity(targets.len() * classes * count);
+    for (image, positives) in targets.iter().zip(positives) {
+        let mut of_image = vec![1.0; count];
+        for &area in &image.ignored {
+            for anchor in anchors_inside(area, anchors) {
+                of_image[anchor] = 0.0;
+            }
+        }
+        for positive in positives {
+            of_image[positive.anchor] = 1.0;
+        }
+        for _ in 0..classes {
+            mask.extend_from_slice(&of_image);
+        }
+    }
+    Some(mask)
+}
+
 /// Reads the predictions back (the step's one synchronisation) and assigns each image's anchors.
 fn assign_batch(
     output: &FlatOutput,
-    targets: &[Vec<Target>],
+    targets: &[ImageTargets],
     anchors: &Anchors,
 ) -> Result<Vec<Vec<Positive>>> {
     let [batch, classes, count] = output.scores.dims();
@@ -179,7 +237,7 @@ fn assign_batch(
                 sides_grid: &sides[image * 4 * count..][..4 * count],
                 scores: &scores[image * classes * count..][..classes * count],
             };
-            assign(predictions, &targets[image], anchors)
+            assign(predictions, &targets[image].targets, anchors)
         })
         .collect())
 }
@@ -223,4 +281,60 @@ fn complete_iou(low: &Tensor<2>, high: &Tensor<2>, target: &Tensor<2>) -> Tensor
         .mul_scalar(4.0 / std::f64::consts::PI.powi(2));
     let alpha = (v.clone() / (v.clone() - iou.clone() + (1.0 + EPS))).detach();
     iou - center / diagonal - alpha * v
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Device;
+
+    use super::*;
+
+    const SIDE: usize = 64;
+
+    fn class_item(targets: ImageTargets) -> f64 {
+        let device = Device::flex();
+        let anchors = Anchors::new(SIDE, SIDE);
+        let count = anchors.len();
+        let values: Vec<f32> = (0..4 * REG_MAX * count)
+            .map(|i| (i % 7) as f32 * 0.1)
+            .collect();
+        let output = FlatOutput {
+            boxes: Tensor::from_data(TensorData::new(values, [1, 4 * REG_MAX, count]), &device),
+            scores: Tensor::zeros([1, 1, count], &device),
+        };
+        let loss = detection_loss(&output, &[targets], &anchors, LossGains::default()).unwrap();
+        loss.items[1].clone().into_scalar::<f64>()
+    }
+
+    #[test]
+    fn anchors_in_ignored_boxes_have_no_loss_and_the_others_all_of_theirs() {
+        let nothing = class_item(ImageTargets::default());
+        let side = SIDE as f64;
+        let ignoring = |ignored: [f64; 4]| {
+            class_item(ImageTargets {
+                targets: Vec::new(),
+                ignored: vec![ignored],
+            })
+        };
+        assert!(ignoring([0.0, 0.0, side, side]).abs() < 1e-6);
+        // Half of the image holds half of the anchors, all of them with the same score.
+        let half = ignoring([0.0, 0.0, side / 2.0, side]);
+        assert!((half / nothing - 0.5).abs() < 1e-5, "{half} of {nothing}");
+    }
+
+    #[test]
+    fn a_target_is_learnt_though_it_stands_in_an_ignored_box() {
+        let side = SIDE as f64;
+        let target = Target {
+            class: 0,
+            box_letterbox: [16.0, 16.0, 40.0, 40.0],
+        };
+        let alone = ImageTargets::from(vec![target]);
+        let among = ImageTargets {
+            ignored: vec![[0.0, 0.0, side, side]],
+            ..alone.clone()
+        };
+        let (alone, among) = (class_item(alone), class_item(among));
+        assert!(among > 0.0 && among < alone, "{among} {alone}");
+    }
 }

@@ -7,6 +7,7 @@ use crate::dataset::{DetectionItem, DetectionSource};
 use crate::detector::nms::NmsConfig;
 use crate::detector::{Detection, LetterboxedCandidates, VehicleDetector};
 use crate::error::{Error, Result};
+use crate::geometry::PixelBox;
 use crate::metrics::{DetectionMetrics, Target};
 
 /// Images that run as one batch.
@@ -61,7 +62,12 @@ pub fn detection_metrics(
                     class: *class as usize,
                 })
                 .collect();
-            metrics.add_image(&detections, &targets)?;
+            let ignored: Vec<PixelBox> = item
+                .ignored
+                .iter()
+                .map(|box_pixel| letterbox.letterbox_from_pixel(box_pixel))
+                .collect();
+            metrics.add_image_ignoring(&detections, &targets, &ignored)?;
         }
     }
     Ok(metrics)

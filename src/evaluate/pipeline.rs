@@ -7,10 +7,10 @@ use burn_dataset::Dataset as _;
 use serde::Serialize;
 
 use super::detection_metrics;
-use crate::dataset::{DetectionSource, Frame, Split, StereoDataset, StereoLabel};
+use crate::dataset::{DetectionSource, Frame, Side, Split, StereoDataset, StereoLabel};
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
-use crate::metrics::{DistanceErrors, DistanceSummary};
+use crate::metrics::{DistanceErrors, DistanceSummary, is_covered};
 use crate::pairing::PairingMode;
 use crate::pipeline::{PredictOptions, StereoRanger, Vehicle};
 use crate::progress::Progress;
@@ -78,13 +78,13 @@ pub struct DetectionFigures {
 /// The pipeline's figures.
 #[derive(Debug, Clone, Serialize)]
 pub struct PipelineFigures {
-    /// Vehicles labelled in both images.
+    /// Vehicles labelled in both images and ignored in neither.
     pub vehicles: usize,
     /// Of these, found.
     pub found: usize,
     /// Of these, missed.
     pub missed: usize,
-    /// Found where none is labelled.
+    /// Found where none is labelled, not even an ignored one or one that a single camera sees.
     pub false_vehicles: usize,
     /// Distance errors of the found ones.
     pub distance: Option<DistanceSummary>,
@@ -213,7 +213,8 @@ fn evaluate_frame(
     tally: &mut Tally,
 ) -> Result<()> {
     let [left, right] = frame.load(dataset.rig())?;
-    let labels = frame.vehicles(ranger.detector().header().box_kind);
+    let kind = ranger.detector().header().box_kind;
+    let labels = frame.vehicles(kind);
     let sightings: Vec<Sighting> = labels
         .iter()
         .map(|label| Sighting {
@@ -233,7 +234,16 @@ fn evaluate_frame(
     let matches = match_vehicles(&vehicles, &labels);
     tally.vehicles += labels.len();
     tally.found += matches.len();
-    tally.false_vehicles += vehicles.len() - matches.len();
+    let unjudged = Side::ALL.map(|side| frame.unjudged_boxes(kind, side));
+    tally.false_vehicles += vehicles
+        .iter()
+        .enumerate()
+        .filter(|(index, vehicle)| {
+            let matched = matches.iter().any(|(found, _)| found == index);
+            let [left, right] = &unjudged;
+            !matched && !is_covered(&vehicle.left, left) && !is_covered(&vehicle.right, right)
+        })
+        .count();
     for (vehicle, label) in matches {
         tally
             .errors

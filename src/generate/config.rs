@@ -1,5 +1,6 @@
 //! What kind of dataset to make.
 
+use std::fmt;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -30,8 +31,11 @@ pub struct GenerateConfig {
     pub seed: u64,
     /// Training and validation frames together; the frames of `test` come on top.
     pub frames: u32,
-    /// Frames of one scene, which is one city with one vehicle.
+    /// Frames of one scene, which is one city with its vehicles.
     pub frames_per_scene: u32,
+    /// Vehicles of a scene, as a number or as the least and the most: one is the target, which
+    /// the drone orbits; the others stand and drive about it.
+    pub vehicles: VehicleCount,
     /// Image width, pixels.
     pub width: u32,
     /// Image height, pixels.
@@ -40,9 +44,9 @@ pub struct GenerateConfig {
     pub hfov_deg: f64,
     /// Distance between the cameras, metres.
     pub baseline_m: f64,
-    /// Shortest distance from the rig to the vehicle, metres.
+    /// Shortest distance from the rig to the target, metres.
     pub distance_min_m: f64,
-    /// Longest distance from the rig to the vehicle, metres.
+    /// Longest distance from the rig to the target, metres.
     pub distance_max_m: f64,
     /// Sun positions, used in turn.
     pub suns: Vec<Sun>,
@@ -50,14 +54,93 @@ pub struct GenerateConfig {
     pub samples_per_pixel: u32,
     /// Standard deviation of the sensor's noise on white, 8-bit counts; 0 switches it off.
     pub noise_counts: f32,
-    /// Least part of the vehicle that either camera must see; other views are drawn again.
+    /// Least part of the target that either camera must see; other views are drawn again.
     pub min_visible: f64,
+    /// A vehicle of which an image shows less than this part is ignored in it.
+    pub ignore_below_visible: f64,
+    /// A vehicle is ignored in an image where both sides of its tight box are shorter than this,
+    /// pixels.
+    pub ignore_below_px: f64,
     /// Part of `frames` that validates.
     pub val_fraction: f64,
     /// How frames are divided between training and validation.
     pub split: SplitMode,
     /// A grid of test views in scenes of their own.
     pub test: Option<TestProtocol>,
+}
+
+/// How many vehicles a scene has: a number, or a range from which every scene draws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "Numbers", into = "Numbers")]
+pub struct VehicleCount {
+    /// Fewest vehicles of a scene.
+    pub least: u32,
+    /// Most vehicles of a scene.
+    pub most: u32,
+}
+
+impl VehicleCount {
+    /// More than this no stretch of road has room for.
+    const LARGEST: u32 = 40;
+
+    /// The same number in every scene.
+    pub const fn exactly(number: u32) -> Self {
+        Self {
+            least: number,
+            most: number,
+        }
+    }
+
+    fn validate(self) -> Result<()> {
+        if (1..=self.most).contains(&self.least) && self.most <= Self::LARGEST {
+            return Ok(());
+        }
+        Err(Error::value(
+            format!("vehicles = {self}"),
+            "out of range",
+            format!(
+                "give a number from 1 to {largest}, or two such as [4, 8]",
+                largest = Self::LARGEST
+            ),
+        ))
+    }
+}
+
+impl fmt::Display for VehicleCount {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.least == self.most {
+            write!(f, "{}", self.least)
+        } else {
+            write!(f, "[{}, {}]", self.least, self.most)
+        }
+    }
+}
+
+/// A [`VehicleCount`] as people write it.
+#[derive(Serialize, Deserialize)]
+#[serde(untagged, expecting = "a number or a range such as [4, 8]")]
+enum Numbers {
+    One(u32),
+    Range([u32; 2]),
+}
+
+impl From<Numbers> for VehicleCount {
+    fn from(numbers: Numbers) -> Self {
+        match numbers {
+            Numbers::One(number) => Self::exactly(number),
+            Numbers::Range([least, most]) => Self { least, most },
+        }
+    }
+}
+
+impl From<VehicleCount> for Numbers {
+    fn from(VehicleCount { least, most }: VehicleCount) -> Self {
+        if least == most {
+            Self::One(least)
+        } else {
+            Self::Range([least, most])
+        }
+    }
 }
 
 /// Test frames: one for every combination of distance, sun and view.
@@ -80,6 +163,7 @@ impl Default for GenerateConfig {
             seed: 1,
             frames: 700,
             frames_per_scene: 4,
+            vehicles: VehicleCount { least: 4, most: 8 },
             width: 640,
             height: 360,
             hfov_deg: 90.0,
@@ -90,6 +174,8 @@ impl Default for GenerateConfig {
             samples_per_pixel: 4,
             noise_counts: 1.5,
             min_visible: 0.35,
+            ignore_below_visible: 0.25,
+            ignore_below_px: 6.0,
             val_fraction: 0.2,
             split: SplitMode::Scene,
             test: None,
@@ -193,6 +279,9 @@ impl GenerateConfig {
         )?;
         in_range("noise_counts", f64::from(self.noise_counts), 0.0, 50.0)?;
         in_range("min_visible", self.min_visible, 0.0, 0.9)?;
+        in_range("ignore_below_visible", self.ignore_below_visible, 0.0, 1.0)?;
+        in_range("ignore_below_px", self.ignore_below_px, 0.0, 1000.0)?;
+        self.vehicles.validate()?;
         in_range("val_fraction", self.val_fraction, 0.0, 0.9)?;
         let root = self.samples_per_pixel.isqrt();
         if root * root != self.samples_per_pixel {
@@ -324,14 +413,47 @@ mod tests {
             (
                 GenerateConfig {
                     baseline_m: -1.0,
-                    ..base
+                    ..base.clone()
                 },
                 "baseline_m = -1",
+            ),
+            (
+                GenerateConfig {
+                    vehicles: VehicleCount { least: 5, most: 2 },
+                    ..base.clone()
+                },
+                "vehicles = [5, 2]",
+            ),
+            (
+                GenerateConfig {
+                    vehicles: VehicleCount::exactly(0),
+                    ..base
+                },
+                "vehicles = 0",
             ),
         ];
         for (config, words) in cases {
             let message = config.validate().unwrap_err().to_string();
             assert!(message.contains(words), "{message} should contain {words}");
+        }
+    }
+
+    #[test]
+    fn vehicles_are_a_number_or_a_range_and_come_back_from_toml() {
+        for (text, least, most) in [("3", 3, 3), ("[2, 6]", 2, 6)] {
+            let config = GenerateConfig::parse(&format!("vehicles = {text}"), "a").unwrap();
+            assert_eq!(config.vehicles, VehicleCount { least, most });
+            let written = toml::to_string(&config).unwrap();
+            assert!(
+                written.contains(&format!("vehicles = {text}\n")),
+                "{written}"
+            );
+        }
+        for text in ["0", "[1]", "[1, 2, 3]", "\"many\"", "[3, 2]", "[1, 1000]"] {
+            let message = GenerateConfig::parse(&format!("vehicles = {text}"), "a.toml")
+                .unwrap_err()
+                .to_string();
+            assert!(message.contains("vehicles"), "{message}");
         }
     }
 

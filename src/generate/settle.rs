@@ -1,4 +1,4 @@
-//! Where the drone really goes: plans settled against the city's buildings and trees.
+//! Where the drone really goes: plans settled against what stands in the scene.
 
 use rand::{Rng, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
@@ -8,12 +8,16 @@ use super::plan::{FrameDraft, HIGHEST_DEG, view_of_azimuth};
 use crate::dataset::FrameRow;
 use crate::geometry::StereoRig;
 use crate::render::{Eye, RigPose, Silhouette, Stage};
-use crate::world::Sun;
+use crate::world::{Sun, Vehicle};
 
 /// From here nothing can hide a vehicle on an open road: the last resort, degrees.
 const LAST_RESORT_DEG: f64 = 82.0;
 /// Views tried before the best of them is taken.
 const ATTEMPTS: u32 = 40;
+/// Directions of view tried where there is more than the target to look at.
+const AIMS: u32 = 4;
+/// The drone keeps further from every vehicle than this part of the shortest distance.
+const NEAREST_PART: f64 = 0.5;
 /// The drone keeps this far from buildings, trees and the ground, metres.
 const CLEARANCE_M: f64 = 1.3;
 
@@ -36,7 +40,7 @@ struct Station {
 }
 
 impl FrameDraft {
-    /// Finds a place near the planned one from where the vehicle can be seen.
+    /// Finds a place near the planned one from where the target can be seen.
     ///
     /// The first place is the planned one. Later ones move further and further round and up, with
     /// the distance anywhere in its stratum; test frames stay on their side and at their distance.
@@ -46,11 +50,11 @@ impl FrameDraft {
         let mut best: Option<(f64, Station, RigPose)> = None;
         for attempt in 0..ATTEMPTS {
             let station = self.station(attempt, &mut rng);
-            let Some(pose) = place(&station, rig, stage, &mut rng) else {
+            let Some(pose) = place(&station, config, rig, stage, &mut rng) else {
                 continue;
             };
             let visible = Eye::BOTH
-                .map(|eye| Silhouette::estimate_visible(stage, rig, &pose, eye))
+                .map(|eye| Silhouette::estimate_visible(stage, 0, rig, &pose, eye))
                 .into_iter()
                 .fold(1.0, f64::min);
             if best
@@ -115,8 +119,8 @@ impl FrameDraft {
             elevation_deg: 90.0,
             distance_m: self.distance_m,
         };
-        let [x, y, z] = stage.scene().vehicle.center_world;
-        let [forward_x, forward_y, _] = stage.scene().vehicle.forward_world;
+        let [x, y, z] = stage.scene().target().center_world;
+        let [forward_x, forward_y, _] = stage.scene().target().forward_world;
         let pose = RigPose {
             position_world: [x, y, z + self.distance_m],
             right_world: [forward_y, -forward_x, 0.0],
@@ -127,10 +131,17 @@ impl FrameDraft {
     }
 }
 
-/// The pose of a drone at a station that looks roughly at the vehicle; None where no drone can be,
-/// or where the vehicle would leave the image.
-fn place(station: &Station, rig: &StereoRig, stage: &Stage, rng: &mut impl Rng) -> Option<RigPose> {
-    let vehicle = &stage.scene().vehicle;
+/// The pose of a drone at a station that looks roughly at the target; None where no drone can be,
+/// or where the target would leave the image.
+fn place(
+    station: &Station,
+    config: &GenerateConfig,
+    rig: &StereoRig,
+    stage: &Stage,
+    rng: &mut impl Rng,
+) -> Option<RigPose> {
+    let vehicle = stage.scene().target();
+    let others = &stage.scene().vehicles[1..];
     let [azimuth, elevation] = [station.azimuth_deg, station.elevation_deg].map(f64::to_radians);
     let [forward_x, forward_y, _] = vehicle.forward_world;
     let [sin, cos] = [libm::sin(azimuth), libm::cos(azimuth)];
@@ -149,19 +160,48 @@ fn place(station: &Station, rig: &StereoRig, stage: &Stage, rng: &mut impl Rng) 
     let parallax = 0.5 * rig.baseline_m / station.distance_m;
     let room_x = (0.5 * f64::from(camera.width) / camera.focal_x_px - parallax - radius).max(0.0);
     let room_y = (0.5 * f64::from(camera.height) / camera.focal_y_px - radius).max(0.0);
-    let [a, b] = [(); 2].map(|()| rng.random_range(-1.0..1.0_f64));
-    let v = 0.8 * room_y * b;
-    // Near the zenith a level camera can turn only a little away from the vehicle.
-    let most_u = (0.985 * 0.985 / (up * up) - 1.0).max(0.0).sqrt() * (1.0 + v * v).sqrt();
-    let u = 0.8 * room_x.min(most_u) * a;
+    let mut aims = (0..if others.is_empty() { 1 } else { AIMS }).map(|_| {
+        let [a, b] = [(); 2].map(|()| rng.random_range(-1.0..1.0_f64));
+        let v = 0.8 * room_y * b;
+        // Near the zenith a level camera can turn only a little away from the vehicle.
+        let most_u = (0.985 * 0.985 / (up * up) - 1.0).max(0.0).sqrt() * (1.0 + v * v).sqrt();
+        [0.8 * room_x.min(most_u) * a, v]
+    });
     let free = position[2] > CLEARANCE_M && !stage.scene().in_building(position, CLEARANCE_M);
     if !free || !stage.has_room(position, CLEARANCE_M) {
         return None;
     }
-    let pose = RigPose::aimed(position, vehicle.center_world, [u, v])?;
-    let pixels = rig.pixels_from_rig(pose.rig_from_world(vehicle.center_world))?;
-    let inside = pixels.iter().all(|[x, y]| {
-        *x > 0.0 && *x < f64::from(camera.width) && *y > 0.0 && *y < f64::from(camera.height)
-    });
-    inside.then_some(pose)
+    let nearest_m = NEAREST_PART * config.distance_min_m;
+    if others.iter().any(|other| {
+        let apart = [0, 1, 2].map(|i| other.center_world[i] - position[i]);
+        apart.iter().map(|v| v * v).sum::<f64>() < nearest_m * nearest_m
+    }) {
+        return None;
+    }
+    let sees = |pose: &RigPose, vehicle: &Vehicle| {
+        let pixels = rig.pixels_from_rig(pose.rig_from_world(vehicle.center_world));
+        pixels.is_some_and(|pixels| {
+            pixels.iter().all(|[x, y]| {
+                *x > 0.0
+                    && *x < f64::from(camera.width)
+                    && *y > 0.0
+                    && *y < f64::from(camera.height)
+            })
+        })
+    };
+    // The aim that shows most of the other vehicles, the first of equals.
+    let mut best: Option<(usize, RigPose)> = None;
+    for aim in &mut aims {
+        let Some(pose) = RigPose::aimed(position, vehicle.center_world, aim) else {
+            continue;
+        };
+        if !sees(&pose, vehicle) {
+            continue;
+        }
+        let count = others.iter().filter(|other| sees(&pose, other)).count();
+        if best.as_ref().is_none_or(|(most, _)| count > *most) {
+            best = Some((count, pose));
+        }
+    }
+    best.map(|(_, pose)| pose)
 }

@@ -3,7 +3,7 @@ use std::fs;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use super::*;
-use crate::dataset::StereoDataset;
+use crate::dataset::{BoxKind, Label, StereoDataset, read_objects_csv};
 use crate::progress::Silent;
 
 fn tiny() -> GenerateConfig {
@@ -71,7 +71,7 @@ fn one_thread_and_many_write_the_same_bytes() {
         );
         content(&out)
     });
-    assert_eq!(one.len(), 6 * 4 + 2);
+    assert_eq!(one.len(), 6 * 4 + 3);
     assert!(one == many, "files differ between one thread and three");
 }
 
@@ -149,10 +149,8 @@ fn labelled_centres_keep_the_disparity_law_and_boxes_lie_around_them() {
                 .filter(|line| !line.starts_with('#'))
                 .map(|line| line.split(' ').map(str::to_owned).collect())
                 .collect();
-            assert_eq!(
-                lines.iter().map(|l| l[9].as_str()).collect::<Vec<_>>(),
-                ["sphere", "tight"]
-            );
+            let names: Vec<[&str; 2]> = lines.iter().map(|l| [&*l[0], &*l[9]]).collect();
+            assert_eq!(names[..2], [["0", "sphere"], ["0", "tight"]]);
             let number = |line: usize, field: usize| lines[line][field].parse::<f64>().unwrap();
             assert_eq!(number(0, 8), distance_m);
             assert!(number(0, 10) >= config.min_visible - 0.1);
@@ -175,6 +173,112 @@ fn labelled_centres_keep_the_disparity_law_and_boxes_lie_around_them() {
         // Files keep a ten-thousandth of a pixel, which is 2 mm at 30 m with this rig's focal length.
         assert!((back - distance_m).abs() < 4e-3, "{back} {distance_m}");
     }
+}
+
+#[test]
+fn every_labelled_vehicle_keeps_the_laws_and_has_its_row_in_objects_csv() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = tiny();
+    let rig = config.rig().unwrap();
+    generate(&config, folder.path(), &Silent).unwrap();
+    let dataset = StereoDataset::open(folder.path()).unwrap();
+    let objects = read_objects_csv(folder.path().join("objects.csv")).unwrap();
+    let mut pairs = 0;
+    for frame in &dataset.frames {
+        for vehicle in frame.vehicles(BoxKind::Tight) {
+            pairs += 1;
+            let object = objects
+                .iter()
+                .find(|o| o.stamp == frame.row.stamp && o.id == vehicle.id)
+                .unwrap();
+            assert!((object.distance_m - vehicle.distance_m).abs() < 1e-9);
+            let [x, y, z] = [object.x_m, object.y_m, object.z_m];
+            assert!((libm::hypot(libm::hypot(x, y), z) - vehicle.distance_m).abs() < 1e-3);
+            let [left, right] = [vehicle.left.center_pixel, vehicle.right.center_pixel];
+            assert!((left[1] - right[1]).abs() < 1e-9);
+            // Both are rounded: to a tenth of a millimetre and to a ten-thousandth of a pixel.
+            assert!((left[0] - right[0] - rig.disparity_px(z)).abs() < 2e-3);
+            let [expected, _] = rig.pixels_from_rig([x, y, z]).unwrap();
+            assert!((0..2).all(|i| (left[i] - expected[i]).abs() < 2e-3));
+            let forward = [object.forward_x, object.forward_y, object.forward_z];
+            let length = forward.iter().map(|v| v * v).sum::<f64>();
+            assert!((length - 1.0).abs() < 1e-3, "{forward:?}");
+            // Right of the image is right of the rig, whatever its pitch.
+            let sine = object.yaw_deg.to_radians().sin();
+            assert!((sine - object.forward_x).abs() < 1e-3, "{object:?}");
+        }
+        let target = objects.iter().find(|o| o.stamp == frame.row.stamp).unwrap();
+        let turn = target.azimuth_deg - frame.row.azimuth_deg.unwrap();
+        assert!(turn.abs() < 1e-3 || (turn.abs() - 360.0).abs() < 1e-3);
+        assert!((target.elevation_deg - frame.row.elevation_deg.unwrap()).abs() < 1e-3);
+    }
+    assert!(
+        pairs >= 12,
+        "only {pairs} pairs in {} frames",
+        dataset.frames.len()
+    );
+}
+
+#[test]
+fn hidden_small_and_far_vehicles_are_labelled_but_ignored() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = GenerateConfig {
+        frames: 8,
+        frames_per_scene: 2,
+        distance_max_m: 25.0,
+        vehicles: VehicleCount::exactly(10),
+        ..tiny()
+    };
+    generate(&config, folder.path(), &Silent).unwrap();
+    let dataset = StereoDataset::open(folder.path()).unwrap();
+    let labels: Vec<&Label> = dataset
+        .frames
+        .iter()
+        .flat_map(|frame| frame.left.labels_of(BoxKind::Tight))
+        .collect();
+    let is_far = |label: &Label| !(10.0..=25.0).contains(&label.distance_m.unwrap());
+    for label in &labels {
+        let [width, height] = [label.box_pixel.width(), label.box_pixel.height()];
+        // Files keep four decimals of what decided.
+        let expected = is_far(label)
+            || label.visible.unwrap() < config.ignore_below_visible
+            || width.max(height) < config.ignore_below_px;
+        assert_eq!(label.ignored, expected, "{label:?}");
+    }
+    assert!(labels.iter().any(|label| label.ignored));
+    assert!(labels.iter().any(|label| !label.ignored && label.id > 0));
+    let all: usize = dataset
+        .frames
+        .iter()
+        .map(|frame| frame.left.boxes(BoxKind::Tight, &dataset.rig().left).len())
+        .sum();
+    assert_eq!(all, labels.iter().filter(|label| !label.ignored).count());
+}
+
+#[test]
+fn a_scene_of_one_vehicle_has_labels_of_one_vehicle_and_the_same_city() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = GenerateConfig {
+        frames: 2,
+        vehicles: VehicleCount::exactly(1),
+        ..tiny()
+    };
+    generate(&config, folder.path(), &Silent).unwrap();
+    let dataset = StereoDataset::open(folder.path()).unwrap();
+    for frame in &dataset.frames {
+        let labels: Vec<(u32, bool)> = frame
+            .left
+            .labels
+            .iter()
+            .map(|label| (label.id, label.ignored))
+            .collect();
+        assert_eq!(labels, [(0, false), (0, false)]);
+    }
+    let [alone, among] = [1, 5].map(|vehicles| {
+        let scene = Scene::draw_with_traffic(config.seed, 0, 60.0, vehicles, 30.0);
+        (scene.target().center_world, scene.city.mesh.triangles.len())
+    });
+    assert_eq!(alone, among);
 }
 
 #[test]

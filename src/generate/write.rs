@@ -8,8 +8,8 @@ use image::{ImageEncoder as _, RgbImage};
 
 use super::config::GenerateConfig;
 use crate::dataset::{
-    BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, label_file_text, stamp_name,
-    write_frames_csv,
+    BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, ObjectRow, label_file_text, stamp_name,
+    write_frames_csv, write_objects_csv,
 };
 use crate::error::{Error, Result};
 use crate::files;
@@ -40,7 +40,7 @@ impl Target {
                     ),
                 ));
             }
-        } else if ["dataset.toml", "frames.csv", "frames"]
+        } else if ["dataset.toml", "frames.csv", "objects.csv", "frames"]
             .iter()
             .any(|name| root.join(name).exists())
         {
@@ -102,7 +102,14 @@ impl Target {
     }
 
     /// Writes the files that make the folder a dataset.
-    pub fn finish(&self, config: &GenerateConfig, rig: StereoRig, rows: &[FrameRow]) -> Result<()> {
+    pub fn finish(
+        &self,
+        config: &GenerateConfig,
+        rig: StereoRig,
+        rows: &[FrameRow],
+        objects: &[ObjectRow],
+    ) -> Result<()> {
+        write_objects_csv(self.root.join("objects.csv"), objects)?;
         write_frames_csv(self.root.join("frames.csv"), rows)?;
         let path = self.root.join("dataset.toml");
         let info = DatasetInfo {

@@ -78,15 +78,29 @@ impl PixelBox {
         Self::from_center(self.center(), side, side)
     }
 
-    /// Intersection over union, 0 where the union is empty.
-    pub fn iou(&self, other: &Self) -> f64 {
-        let intersection = Self::new(
+    /// What two boxes have in common; inverted, and so without area, where they are apart.
+    pub fn intersection(&self, other: &Self) -> Self {
+        Self::new(
             self.x_min.max(other.x_min),
             self.y_min.max(other.y_min),
             self.x_max.min(other.x_max),
             self.y_max.min(other.y_max),
         )
-        .area();
+    }
+
+    /// The smallest box that holds both.
+    pub fn around(&self, other: &Self) -> Self {
+        Self::new(
+            self.x_min.min(other.x_min),
+            self.y_min.min(other.y_min),
+            self.x_max.max(other.x_max),
+            self.y_max.max(other.y_max),
+        )
+    }
+
+    /// Intersection over union, 0 where the union is empty.
+    pub fn iou(&self, other: &Self) -> f64 {
+        let intersection = self.intersection(other).area();
         let union = self.area() + other.area() - intersection;
         if union > 0.0 {
             intersection / union

@@ -128,14 +128,29 @@ impl DetectionMetrics {
         }
     }
 
-    /// Adds an image; either list may be empty.
+    /// Adds an image without boxes to ignore; see [`DetectionMetrics::add_image_ignoring`].
     ///
-    /// Boxes of both lists are in the same pixels: the letterboxed input's for figures comparable
+    /// # Errors
+    /// Those of [`DetectionMetrics::add_image_ignoring`].
+    pub fn add_image(&mut self, detections: &[Detection], targets: &[Target]) -> Result<()> {
+        self.add_image_ignoring(detections, targets, &[])
+    }
+
+    /// Adds an image; any list may be empty.
+    ///
+    /// A detection that is right for no target at an overlap of 0.50, and of which at least half
+    /// lies in one of the `ignored` boxes, is left out: it is neither true nor false, whatever its
+    /// class. Boxes of all lists are in the same pixels: the letterboxed input's for figures comparable
     /// with YOLO11's. Detections whose score or box is not finite are left out.
     ///
     /// # Errors
     /// A class number that the data set does not have.
-    pub fn add_image(&mut self, detections: &[Detection], targets: &[Target]) -> Result<()> {
+    pub fn add_image_ignoring(
+        &mut self,
+        detections: &[Detection],
+        targets: &[Target],
+        ignored: &[PixelBox],
+    ) -> Result<()> {
         let classes = detections
             .iter()
             .map(|d| d.class)
@@ -153,6 +168,13 @@ impl DetectionMetrics {
             .filter(|d| d.score.is_finite() && is_finite(&d.box_pixel))
             .collect();
         detections.sort_by(|a, b| b.score.total_cmp(&a.score));
+        if !ignored.is_empty() {
+            let flags = true_positives(&detections, targets);
+            let mut right = flags.iter().map(|flags| flags[AT_50]);
+            detections.retain(|detection| {
+                right.next() == Some(true) || !is_covered(&detection.box_pixel, ignored)
+            });
+        }
         self.images.push((detections, targets.to_vec()));
         Ok(())
     }
@@ -235,6 +257,14 @@ impl DetectionMetrics {
     pub fn coco_summary(&self, max_detections: usize) -> CocoSummary {
         coco::evaluate(&self.images, self.classes, max_detections)
     }
+}
+
+/// Whether at least half of a detection lies in one of the boxes to ignore, as for the crowds of
+/// COCO and the don't-care regions of KITTI.
+pub fn is_covered(detection: &PixelBox, ignored: &[PixelBox]) -> bool {
+    ignored
+        .iter()
+        .any(|area| 2.0 * detection.intersection(area).area() >= detection.area())
 }
 
 fn is_finite(b: &PixelBox) -> bool {
@@ -349,6 +379,45 @@ mod tests {
             (summary.detections, summary.recall, summary.precision),
             (1, 1.0, 1.0)
         );
+    }
+
+    #[test]
+    fn a_detection_of_an_ignored_vehicle_is_neither_true_nor_false() {
+        let with = |ignored: &[PixelBox]| {
+            let mut metrics = DetectionMetrics::new(1);
+            let found = [detection(ELSEWHERE, 0.9), detection(BOX, 0.8)];
+            metrics
+                .add_image_ignoring(&found, &[TARGET], ignored)
+                .unwrap();
+            metrics.compute()
+        };
+        let (judged, ignoring) = (with(&[]), with(&[ELSEWHERE]));
+        assert_eq!((judged.detections, judged.precision), (2, 0.5));
+        assert_eq!((ignoring.detections, ignoring.precision), (1, 1.0));
+        assert_eq!((ignoring.targets, ignoring.recall), (1, 1.0));
+        assert!(ignoring.map50 > 0.99 && judged.map50 < 0.6);
+    }
+
+    #[test]
+    fn a_target_in_front_of_an_ignored_vehicle_is_judged_and_its_second_detection_is_not() {
+        let mut metrics = DetectionMetrics::new(1);
+        let found = [detection(BOX, 0.9), detection(BOX, 0.8)];
+        let behind = PixelBox::new(-5.0, -5.0, 15.0, 15.0);
+        metrics
+            .add_image_ignoring(&found, &[TARGET], &[behind])
+            .unwrap();
+        let summary = metrics.compute();
+        assert_eq!((summary.detections, summary.recall), (1, 1.0));
+    }
+
+    #[test]
+    fn a_detection_that_reaches_into_an_ignored_box_by_less_than_half_is_judged() {
+        let mut metrics = DetectionMetrics::new(1);
+        let beside = PixelBox::new(55.1, 0.0, 80.0, 10.0);
+        metrics
+            .add_image_ignoring(&[detection(ELSEWHERE, 0.9)], &[TARGET], &[beside])
+            .unwrap();
+        assert_eq!(metrics.compute().detections, 1);
     }
 
     #[test]

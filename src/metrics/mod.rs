@@ -6,7 +6,7 @@ mod curves;
 pub mod distance;
 mod matching;
 
-pub use average_precision::{ClassMetrics, DetectionMetrics, DetectionSummary, Target};
+pub use average_precision::{ClassMetrics, DetectionMetrics, DetectionSummary, Target, is_covered};
 pub use coco::CocoSummary;
 pub use curves::{CONFIDENCE_STEPS, DetectionCurves};
 pub use distance::{DistanceErrors, DistanceSummary};

@@ -59,11 +59,15 @@ pub fn render(
         noise_counts: settings.noise_counts,
         noise_seed: derive_seed(settings.noise_seed, NOISE_STREAM, eye as u64) as u32,
     };
-    let detail = vehicle_rectangle(stage, rig, pose, eye);
+    let detail: Vec<PixelBox> = (0..stage.scene().vehicles.len())
+        .filter_map(|vehicle| vehicle_rectangle(stage, vehicle, rig, pose, eye))
+        .collect();
     RgbImage::from_fn(width, height, |x, y| {
         let here = coarse[(y * width + x) as usize];
 
-        let refine = side > 1 && (in_box(detail, x, y) || is_edge(&coarse, width, height, x, y));
+        let refine = side > 1
+            && (detail.iter().any(|area| in_box(area, x, y))
+                || is_edge(&coarse, width, height, x, y));
         let light = if refine {
             view.average(x, y, side)
         } else {
@@ -109,11 +113,9 @@ impl View<'_> {
     }
 }
 
-fn in_box(area: Option<PixelBox>, x: u32, y: u32) -> bool {
-    area.is_some_and(|area| {
-        let (x, y) = (f64::from(x), f64::from(y));
-        x + 1.0 > area.x_min && x < area.x_max && y + 1.0 > area.y_min && y < area.y_max
-    })
+fn in_box(area: &PixelBox, x: u32, y: u32) -> bool {
+    let (x, y) = (f64::from(x), f64::from(y));
+    x + 1.0 > area.x_min && x < area.x_max && y + 1.0 > area.y_min && y < area.y_max
 }
 
 /// Whether a neighbour shows another face or a clearly different brightness.

@@ -83,7 +83,7 @@ impl Shader<'_> {
         };
         // Clouds on a flat layer; their detail shrinks towards the horizon with its distance.
         let scale = 1.0 / (direction.z + 0.08);
-        let seed = self.stage.scene.vehicle.seed;
+        let seed = self.stage.scene.target().seed;
         let cloud = fractal(
             direction.x * scale,
             direction.y * scale,
@@ -110,16 +110,16 @@ impl Shader<'_> {
         };
         let facing = normal.dot(direction).abs();
         let footprint_m = hit.t * angle * stretch(facing);
-        let point = self.surface(triangle.surface, at, normal, footprint_m);
         let face = triangle.face + GROUND_FACE;
-        (
-            point,
-            if hit.object == Object::Vehicle {
-                face | VEHICLE_FACES
-            } else {
-                face
-            },
-        )
+        let (vehicle, face) = match hit.object {
+            Object::Vehicle(index) => (
+                usize::from(index),
+                (face ^ (u32::from(index) << 16)) | VEHICLE_FACES,
+            ),
+            Object::Ground | Object::City => (0, face),
+        };
+        let point = self.surface(triangle.surface, vehicle, at, normal, footprint_m);
+        (point, face)
     }
 
     fn ground(&self, at: Vec3A, width_m: f32, facing: f32) -> Point {
@@ -129,16 +129,23 @@ impl Shader<'_> {
             at.y,
             width_m * stretch(facing),
         );
-        // Under and close beside the vehicle the sky is hidden.
-        let vehicle = &self.stage.scene.vehicle;
-        let local = vehicle.vehicle_from_world(at);
-        let [length, width, _] = vehicle.size_m.map(|v| v as f32 * 0.5);
-        let [dx, dy] = [
-            (local.x.abs() - length * 0.93).max(0.0),
-            (local.y.abs() - width * 0.80).max(0.0),
-        ];
-        let apart = (dx * dx + dy * dy).sqrt();
-        let open = mix(0.12, 1.0, (apart / (apart + 0.25)).min(1.0));
+        // Under and close beside a vehicle the sky is hidden.
+        let open = self
+            .stage
+            .scene
+            .vehicles
+            .iter()
+            .map(|vehicle| {
+                let local = vehicle.vehicle_from_world(at);
+                let [length, width, _] = vehicle.size_m.map(|v| v as f32 * 0.5);
+                let [dx, dy] = [
+                    (local.x.abs() - length * 0.93).max(0.0),
+                    (local.y.abs() - width * 0.80).max(0.0),
+                ];
+                let apart = (dx * dx + dy * dy).sqrt();
+                mix(0.12, 1.0, (apart / (apart + 0.25)).min(1.0))
+            })
+            .product();
         Point {
             at,
             normal: Vec3A::Z,
@@ -150,7 +157,15 @@ impl Shader<'_> {
         }
     }
 
-    fn surface(&self, surface: Surface, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Point {
+    /// `vehicle` is the index of the vehicle that the surface belongs to, if to any.
+    fn surface(
+        &self,
+        surface: Surface,
+        vehicle: usize,
+        at: Vec3A,
+        normal: Vec3A,
+        footprint_m: f32,
+    ) -> Point {
         let scene = &self.stage.scene;
         let matt = |albedo: Vec3A, open: f32| Point {
             at,
@@ -193,7 +208,7 @@ impl Shader<'_> {
                 matt(Vec3A::from_array(colors[pick as usize]), 1.0)
             }
             Surface::Vehicle(part) => {
-                let vehicle = &scene.vehicle;
+                let vehicle = &scene.vehicles[vehicle];
                 let local = vehicle.vehicle_from_world(at);
                 let local_normal = vehicle.vehicle_direction_from_world(normal);
                 let finish = livery::finish(vehicle, part, local, local_normal, footprint_m);

@@ -20,7 +20,8 @@ const NEAREST_M: f32 = 1e-3;
 pub(crate) enum Object {
     Ground,
     City,
-    Vehicle,
+    /// A vehicle by its index in the scene.
+    Vehicle(u16),
 }
 
 /// Where a ray hits.
@@ -29,24 +30,28 @@ pub(crate) struct Hit {
     /// Distance along the ray, metres.
     pub t: f32,
     pub object: Object,
-    /// Index into the object's triangles; meaningless for the ground.
+    /// Index into the stage's triangles; meaningless for the ground.
     pub triangle: u32,
 }
 
 /// A scene made ready for tracing.
 pub struct Stage {
     pub(crate) scene: Scene,
-    city: Tree,
-    vehicle: Tree,
+    /// City and vehicles together.
+    all: Tree,
+    /// What each triangle of `all` belongs to.
+    objects: Vec<Object>,
+    /// Each vehicle alone.
+    vehicles: Vec<Tree>,
 }
 
 impl std::fmt::Debug for Stage {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Stage")
-            .field("vehicle", &self.scene.vehicle.style())
-            .field("city_triangles", &self.city.triangles.len())
-            .field("vehicle_triangles", &self.vehicle.triangles.len())
-            .finish()
+            .field("target", &self.scene.target().style())
+            .field("vehicles", &self.vehicles.len())
+            .field("triangles", &self.all.triangles.len())
+            .finish_non_exhaustive()
     }
 }
 
@@ -131,12 +136,27 @@ impl Stage {
     /// Prepares a scene.
     pub fn new(mut scene: Scene) -> Self {
         // The trees keep the triangles in an order of their own.
-        let city = Tree::new(&std::mem::take(&mut scene.city.mesh.triangles));
-        let vehicle = Tree::new(&std::mem::take(&mut scene.vehicle.triangles));
+        let mut triangles = std::mem::take(&mut scene.city.mesh.triangles);
+        let mut objects = vec![Object::City; triangles.len()];
+        let mut vehicles = Vec::with_capacity(scene.vehicles.len());
+        for (index, vehicle) in (0_u16..).zip(&mut scene.vehicles) {
+            let own = std::mem::take(&mut vehicle.triangles);
+            objects.resize(objects.len() + own.len(), Object::Vehicle(index));
+            triangles.extend_from_slice(&own);
+            vehicles.push(Tree::new(&own));
+        }
+        let all = Tree::new(&triangles);
+        let objects = all
+            .bvh
+            .primitive_indices
+            .iter()
+            .map(|&index| objects[index as usize])
+            .collect();
         Self {
             scene,
-            city,
-            vehicle,
+            all,
+            objects,
+            vehicles,
         }
     }
 
@@ -145,7 +165,7 @@ impl Stage {
         &self.scene
     }
 
-    /// Whether a drone fits here: nothing of the city within `clearance_m` in fourteen directions.
+    /// Whether a drone fits here: nothing within `clearance_m` in fourteen directions.
     pub(crate) fn has_room(&self, position_world: [f64; 3], clearance_m: f64) -> bool {
         let origin = Vec3A::from_array(position_world.map(|v| v as f32));
         let sides = [Vec3A::X, Vec3A::Y, Vec3A::Z].into_iter();
@@ -154,7 +174,7 @@ impl Stage {
         sides
             .chain(corners)
             .flat_map(|direction| [direction, -direction])
-            .all(|direction| self.is_free_of_city(origin, direction, clearance_m as f32))
+            .all(|direction| self.is_free_until(origin, direction, clearance_m as f32))
     }
 
     /// What a ray hits first; None is the sky.
@@ -170,49 +190,49 @@ impl Stage {
                 triangle: 0,
             });
         }
-        for (tree, object) in [(&self.vehicle, Object::Vehicle), (&self.city, Object::City)] {
-            if let Some((t, triangle)) = tree.nearest(origin, direction, limit) {
-                limit = t;
-                nearest = Some(Hit {
-                    t,
-                    object,
-                    triangle,
-                });
-            }
+        if let Some((t, triangle)) = self.all.nearest(origin, direction, limit) {
+            nearest = Some(Hit {
+                t,
+                object: self.objects[triangle as usize],
+                triangle,
+            });
         }
         nearest
     }
 
-    /// The vehicle alone: distance along the ray, if it hits.
-    pub(crate) fn vehicle_distance(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
-        self.vehicle
+    /// One vehicle alone: distance along the ray, if it hits.
+    pub(crate) fn vehicle_distance(
+        &self,
+        vehicle: usize,
+        origin: Vec3A,
+        direction: Vec3A,
+    ) -> Option<f32> {
+        self.vehicles[vehicle]
             .nearest(origin, direction, f32::INFINITY)
             .map(|(t, _)| t)
     }
 
-    /// Whether nothing of the city stands within `limit` metres along a ray.
-    pub(crate) fn is_free_of_city(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
-        self.city.is_free(origin, direction, limit)
+    /// Whether nothing but the ground stands within `limit` metres along a ray.
+    pub(crate) fn is_free_until(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
+        self.all.is_free(origin, direction, limit)
     }
 
     /// Whether nothing at all stands in the way, however far.
     pub(crate) fn is_free(&self, origin: Vec3A, direction: Vec3A) -> bool {
-        self.vehicle.is_free(origin, direction, f32::INFINITY)
-            && self.city.is_free(origin, direction, f32::INFINITY)
+        self.is_free_until(origin, direction, f32::INFINITY)
     }
 
     /// The triangle that was hit; None for the ground.
     pub(crate) fn triangle(&self, hit: &Hit) -> Option<&Triangle> {
         match hit.object {
             Object::Ground => None,
-            Object::City => Some(&self.city.triangles[hit.triangle as usize]),
-            Object::Vehicle => Some(&self.vehicle.triangles[hit.triangle as usize]),
+            Object::City | Object::Vehicle(_) => Some(&self.all.triangles[hit.triangle as usize]),
         }
     }
 
-    /// Corners of the vehicle's triangles, metres, world.
-    pub(crate) fn vehicle_corners(&self) -> impl Iterator<Item = Vec3A> {
-        self.vehicle.triangles.iter().flat_map(|t| t.vertices)
+    /// The triangles of one vehicle, metres, world.
+    pub(crate) fn vehicle_triangles(&self, vehicle: usize) -> &[Triangle] {
+        &self.vehicles[vehicle].triangles
     }
 }
 
@@ -222,19 +242,19 @@ mod tests {
 
     #[test]
     fn the_nearest_hit_agrees_with_testing_every_triangle() {
-        let stage = Stage::new(Scene::draw(4, 0, 40.0));
+        let stage = Stage::new(Scene::draw_with_traffic(4, 0, 40.0, 4, 25.0));
         let origin = Vec3A::new(12.0, -9.0, 11.0);
         for i in 0..200_u16 {
             let [a, b] = [f32::from(i) * 0.031 - 3.1, f32::from(i * 7 % 200) * 0.006];
             let direction = Vec3A::new(libm::cosf(a), libm::sinf(a), -b).normalize();
             let ray = Ray::new(origin, direction, NEAREST_M, f32::INFINITY);
-            let slow = (0..stage.city.edges.len())
-                .map(|index| stage.city.intersect(&ray, index))
+            let slow = (0..stage.all.edges.len())
+                .map(|index| stage.all.intersect(&ray, index))
                 .fold(f32::INFINITY, f32::min);
-            let fast = stage.city.nearest(origin, direction, f32::INFINITY);
+            let fast = stage.all.nearest(origin, direction, f32::INFINITY);
             assert_eq!(fast.map_or(f32::INFINITY, |(t, _)| t), slow);
             assert_eq!(
-                stage.city.is_free(origin, direction, f32::INFINITY),
+                stage.all.is_free(origin, direction, f32::INFINITY),
                 fast.is_none()
             );
         }

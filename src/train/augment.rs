@@ -5,6 +5,7 @@ use rand::RngExt as _;
 use rand_pcg::Pcg64;
 
 use crate::detector::assign::Target;
+use crate::detector::loss::ImageTargets;
 use crate::error::Result;
 use crate::geometry::PixelBox;
 use crate::geometry::letterbox::{Enlarging, Frame, Letterbox, PADDING_GREY, Size};
@@ -33,18 +34,20 @@ fn signed(random: &mut Pcg64) -> f64 {
 }
 
 /// Letterboxes an image with a random zoom, shift, flip and colour into the planes of the
-/// detector's input, `[3, height, width]` in 0..1, and returns its boxes there.
+/// detector's input, `[3, height, width]` in 0..1, and returns there what is to be found and what
+/// to be ignored.
 ///
 /// # Errors
 /// An image of impossible size.
 pub fn augmented_letterbox(
     image: &RgbImage,
     boxes: &[(u32, PixelBox)],
+    ignored: &[PixelBox],
     input: Size,
     augment: &DetectionAugment,
     random: &mut Pcg64,
     planes: &mut [f32],
-) -> Result<Vec<Target>> {
+) -> Result<ImageTargets> {
     let original = Size::new(image.width(), image.height());
     let letterbox = Letterbox::new(original, input, Frame::Exact, Enlarging::Allowed)?;
     let zoom = 1.0 + augment.zoom * signed(random);
@@ -82,7 +85,7 @@ pub fn augmented_letterbox(
         }
     }
 
-    let targets = boxes.iter().filter_map(|(class, box_pixel)| {
+    let moved = |box_pixel: &PixelBox| {
         let b = letterbox.letterbox_from_pixel(box_pixel);
         let mut moved = PixelBox::new(
             forward(b.x_min, width, shift[0]),
@@ -93,13 +96,24 @@ pub fn augmented_letterbox(
         if flipped {
             (moved.x_min, moved.x_max) = (width - moved.x_max, width - moved.x_min);
         }
+        moved
+    };
+    let targets = boxes.iter().filter_map(|(class, box_pixel)| {
+        let moved = moved(box_pixel);
         let seen = moved.clipped(width, height);
         (seen.width() > LEAST_SIDE_PX
             && seen.height() > LEAST_SIDE_PX
             && seen.area() > LEAST_AREA * moved.area())
         .then(|| target(*class, &seen))
     });
-    Ok(targets.collect())
+    let ignored = ignored.iter().map(|box_pixel| {
+        let seen = moved(box_pixel).clipped(width, height);
+        [seen.x_min, seen.y_min, seen.x_max, seen.y_max]
+    });
+    Ok(ImageTargets {
+        targets: targets.collect(),
+        ignored: ignored.collect(),
+    })
 }
 
 /// A box as a target.
@@ -200,9 +214,16 @@ mod tests {
         let (image, input) = (picture(), Size::new(32, 32));
         let mut planes = vec![0.0; 3 * input.area()];
         let boxes = [(0, PixelBox::new(10.0, 4.0, 30.0, 20.0))];
-        let targets =
-            augmented_letterbox(&image, &boxes, input, &still(), &mut random(), &mut planes)
-                .unwrap();
+        let targets = augmented_letterbox(
+            &image,
+            &boxes,
+            &[],
+            input,
+            &still(),
+            &mut random(),
+            &mut planes,
+        )
+        .unwrap();
         let original = Size::new(64, 36);
         let letterbox = Letterbox::new(original, input, Frame::Exact, Enlarging::Allowed).unwrap();
         let mut plain = vec![0.0; 3 * input.area()];
@@ -214,7 +235,7 @@ mod tests {
             .fold(0.0, f32::max);
         assert!(largest <= 1.01 / 255.0, "{largest}");
         assert_eq!(
-            targets,
+            targets.targets,
             vec![target(0, &letterbox.letterbox_from_pixel(&boxes[0].1))]
         );
     }
@@ -226,10 +247,18 @@ mod tests {
             let mut planes = vec![0.0; 3 * input.area()];
             let boxes = [(0, PixelBox::new(10.0, 4.0, 30.0, 20.0))];
             let augment = DetectionAugment { flip, ..still() };
-            let targets =
-                augmented_letterbox(&image, &boxes, input, &augment, &mut random(), &mut planes)
-                    .unwrap();
-            (planes, targets[0].box_letterbox)
+            let targets = augmented_letterbox(
+                &image,
+                &boxes,
+                &[boxes[0].1],
+                input,
+                &augment,
+                &mut random(),
+                &mut planes,
+            )
+            .unwrap();
+            assert_eq!(targets.ignored, [targets.targets[0].box_letterbox]);
+            (planes, targets.targets[0].box_letterbox)
         };
         let (plain, [x_min, y_min, x_max, y_max]) = run(0.0);
         let (mirrored, edges) = run(1.0);

@@ -13,9 +13,8 @@ use super::log::EpochRow;
 use super::optimizer::scalar;
 use super::stage::{PassLoss, Recipe, Steering};
 use crate::dataset::{DetectionItem, DetectionSource, Split, StereoDataset};
-use crate::detector::assign::Target;
 use crate::detector::decode::Anchors;
-use crate::detector::loss::{LossGains, detection_loss};
+use crate::detector::loss::{ImageTargets, LossGains, detection_loss};
 use crate::detector::weights::load_detector;
 use crate::detector::{DetectorHeader, VehicleDetector, Yolo11, Yolo11Config, letterbox};
 use crate::error::{Error, Result};
@@ -138,7 +137,7 @@ impl DetectorRecipe {
 /// Letterboxed images `[batch, 3, height, width]` and their targets.
 pub struct LetterboxedBatch {
     planes: Vec<f32>,
-    targets: Vec<Vec<Target>>,
+    targets: Vec<ImageTargets>,
 }
 
 impl Recipe for DetectorRecipe {
@@ -176,6 +175,7 @@ impl Recipe for DetectorRecipe {
                 augmented_letterbox(
                     &item.image,
                     &item.boxes,
+                    &item.ignored,
                     self.input,
                     &augment,
                     &mut random,

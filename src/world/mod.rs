@@ -1,6 +1,6 @@
 //! The procedural world: cities, vehicles and the sun, made from a seed without any asset files.
 //!
-//! A [`Scene`] is a triangle mesh with procedural colours around one [`Vehicle`]; `render` turns it
+//! A [`Scene`] is a triangle mesh with procedural colours around a [`Vehicle`], among others or alone; `render` turns it
 //! into stereo pairs. Everything here is a function of the seed: random numbers come from PCG, sine
 //! and power from `libm`, so a scene is the same to the last bit on every machine.
 //!
@@ -16,6 +16,7 @@ pub(crate) mod mesh;
 pub(crate) mod noise;
 mod scene;
 pub(crate) mod sun;
+mod traffic;
 mod vehicle;
 
 pub use scene::Scene;

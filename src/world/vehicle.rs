@@ -38,6 +38,19 @@ impl BodyStyle {
         Self::Pickup,
         Self::Coupe,
     ];
+
+    /// Its name in files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sedan => "sedan",
+            Self::Hatchback => "hatchback",
+            Self::Estate => "estate",
+            Self::Suv => "suv",
+            Self::Van => "van",
+            Self::Pickup => "pickup",
+            Self::Coupe => "coupe",
+        }
+    }
 }
 
 /// The measures of a body, metres; `*_part` are parts of the length counted from the front bumper.

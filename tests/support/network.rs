@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use burn::module::{Flag, Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use twinsight::detector::assign::Target;
+use twinsight::detector::loss::ImageTargets;
 use twinsight::detector::weights::tensor_name;
 use twinsight::detector::{Scale, Yolo11, Yolo11Config};
 use twinsight::weights::StateDict;
@@ -45,13 +46,13 @@ pub fn detector_input(fixture: &Fixture, device: &Device) -> Tensor<4> {
 pub type Extent = [usize; 3];
 
 /// The targets of every image, in pixels.
-pub fn targets(fixture: &Fixture, [batch, height, width]: Extent) -> Vec<Vec<Target>> {
-    let mut targets = vec![Vec::new(); batch];
+pub fn targets(fixture: &Fixture, [batch, height, width]: Extent) -> Vec<ImageTargets> {
+    let mut targets = vec![ImageTargets::default(); batch];
     let rows = fixture.values("in.targets");
     let (rows, _) = rows.as_chunks::<6>();
     for &[image, class, cx, cy, w, h] in rows {
         let (width, height) = (width as f64, height as f64);
-        targets[image as usize].push(Target {
+        targets[image as usize].targets.push(Target {
             class: class as usize,
             box_letterbox: [
                 (cx - w / 2.0) * width,

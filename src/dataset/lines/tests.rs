@@ -16,8 +16,14 @@ fn label() -> Label {
 #[test]
 fn a_label_comes_back_from_its_line() {
     for visible in [None, Some(0.0), Some(0.1234), Some(1.0)] {
-        let label = Label { visible, ..label() };
-        assert_eq!(Label::parse_line(&label.to_line()), Ok(Some(label)));
+        for ignored in [false, true] {
+            let label = Label {
+                visible,
+                ignored,
+                ..label()
+            };
+            assert_eq!(Label::parse_line(&label.to_line()), Ok(Some(label)));
+        }
     }
 }
 
@@ -27,6 +33,18 @@ fn a_label_line_has_the_fields_of_the_format_in_their_order() {
         label().to_line(),
         "12 1 -3.5 0 1020.0625 77.1234 508.25 38.0001 104.9876 tight 0.5"
     );
+}
+
+#[test]
+fn an_ignored_label_ends_with_the_word_and_nothing_stands_after_it() {
+    let ignored = Label {
+        ignored: true,
+        ..label()
+    };
+    let line = ignored.to_line();
+    assert!(line.ends_with(" tight 0.5 ignored"), "{line}");
+    let message = Label::parse_line(&format!("{line} ignored")).unwrap_err();
+    assert!(message.contains("surplus field 'ignored'"), "{message}");
 }
 
 #[test]

@@ -292,3 +292,39 @@ fn a_dataset_without_a_usable_frame_is_refused_with_the_first_reasons() {
     fixture.write("frames.csv", "stamp,split\n");
     assert!(fixture.refusal().contains("lists no frames"));
 }
+
+#[test]
+fn ignored_and_one_sided_vehicles_are_no_pairs_and_are_not_judged() {
+    let fixture = Fixture::new(2);
+    for side in ["left", "right"] {
+        let path = format!("frames/{side}_00001.txt");
+        let text = std::fs::read_to_string(fixture.path(&path)).unwrap();
+        let more = |id: u32, end: &str| {
+            let lines: Vec<String> = text
+                .lines()
+                .filter_map(|line| line.strip_prefix("3 "))
+                .map(|rest| format!("{id} {rest}{end}"))
+                .collect();
+            lines.join("\n") + "\n"
+        };
+        let one_sided = if side == "left" {
+            more(5, "")
+        } else {
+            String::new()
+        };
+        // Vehicle 4 is ignored in the right image only.
+        let ignored = more(4, if side == "right" { " ignored" } else { "" });
+        fixture.write(&path, &format!("{text}{ignored}{one_sided}"));
+    }
+    let dataset = fixture.open();
+    let (frame, rig) = (&dataset.frames[0], dataset.rig());
+    let kind = BoxKind::Tight;
+    let ids: Vec<u32> = frame.vehicles(kind).iter().map(|v| v.id).collect();
+    assert_eq!(ids, [3]);
+    assert_eq!(frame.left.boxes(kind, &rig.left).len(), 3);
+    let right = frame.right.as_ref().unwrap();
+    assert_eq!(right.boxes(kind, &rig.right).len(), 1);
+    assert_eq!(right.ignored_boxes(kind, &rig.right).len(), 1);
+    assert_eq!(frame.unjudged_boxes(kind, Side::Left).len(), 2);
+    assert_eq!(frame.unjudged_boxes(kind, Side::Right).len(), 1);
+}
