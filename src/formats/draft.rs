@@ -11,8 +11,8 @@ use super::copy;
 use super::report::ImportReport;
 use super::splits::{self, SplitSettings};
 use crate::dataset::{
-    BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, Problem, Side, Split, SplitCounts,
-    label_file_text, stamp_name, write_frames_csv,
+    BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, ObjectRow, Problem, Side, Split,
+    SplitCounts, label_file_text, stamp_name, write_frames_csv, write_objects_csv,
 };
 use crate::error::{Error, Result};
 use crate::files;
@@ -42,6 +42,8 @@ pub(super) struct DraftFrame {
     pub images: Vec<PathBuf>,
     /// Labels of each image.
     pub labels: Vec<Vec<Label>>,
+    /// Sizes and places of its vehicles, where they are known; their stamp is the frame's.
+    pub objects: Vec<ObjectRow>,
     /// The split that the source gives it.
     pub split: Option<Split>,
     /// Its row of `frames.csv`; the split in it is not decided yet.
@@ -55,6 +57,7 @@ impl DraftFrame {
             name,
             images,
             labels,
+            objects: Vec::new(),
             split: None,
             row: FrameRow {
                 stamp,
@@ -228,6 +231,18 @@ impl Draft {
     fn finish(&self, out: &Path) -> Result<()> {
         let rows: Vec<FrameRow> = self.frames.iter().map(|frame| frame.row.clone()).collect();
         write_frames_csv(out.join("frames.csv"), &rows)?;
+        let objects: Vec<ObjectRow> = self
+            .frames
+            .iter()
+            .flat_map(|frame| {
+                let stamp = frame.row.stamp;
+                let objects = frame.objects.iter().cloned();
+                objects.map(move |object| ObjectRow { stamp, ..object })
+            })
+            .collect();
+        if !objects.is_empty() {
+            write_objects_csv(out.join("objects.csv"), &objects)?;
+        }
         files::write_atomically(out.join("sources.csv"), self.sources()?.as_bytes())?;
         let mut made_by = toml::Table::new();
         made_by.insert("program".to_owned(), self.program.into());

@@ -111,6 +111,41 @@ fn kitti_becomes_a_sound_dataset_whose_numbers_are_those_of_the_geometry() {
 }
 
 #[test]
+fn kitti_goes_out_and_comes_back_with_sizes_and_both_kinds_of_box() {
+    let place = Place::new();
+    let options = kitti_folder(&place);
+    kitti::import(&options, &place.target("first"), &Silent).unwrap();
+    let first = place.open("first");
+    kitti::export(&first, BoxKind::Tight, &place.path("again"), &Silent).unwrap();
+    let mut target = place.target("second");
+    target.classes = Some("car".parse().unwrap());
+    let options = kitti::KittiOptions::new(place.path("again"));
+    kitti::import(&options, &target, &Silent).unwrap();
+    let second = place.open("second");
+    assert_eq!(first.info.label_kinds, second.info.label_kinds);
+    let objects =
+        |d: &StereoDataset| crate::dataset::read_objects_csv(d.folder.join("objects.csv")).unwrap();
+    for (a, b) in objects(&first).iter().zip(objects(&second)) {
+        assert_eq!(
+            (a.stamp, a.length_m, a.width_m),
+            (b.stamp, b.length_m, b.width_m)
+        );
+        assert!((a.yaw_deg - b.yaw_deg).abs() < 2e-4 && (a.z_m - b.z_m).abs() < 2e-3);
+    }
+    for (a, b) in first.frames.iter().zip(&second.frames) {
+        for kind in first.info.label_kinds.iter().copied() {
+            let pairs = [a.vehicles(kind), b.vehicles(kind)];
+            assert_eq!(pairs[0].len(), 1);
+            for (a, b) in pairs[0].iter().zip(&pairs[1]) {
+                assert!(a.left.box_pixel.iou(&b.left.box_pixel) > 0.999);
+                assert!(a.right.box_pixel.iou(&b.right.box_pixel) > 0.999);
+                assert!((a.distance_m - b.distance_m).abs() < 1e-3);
+            }
+        }
+    }
+}
+
+#[test]
 fn boxes_of_label_3_are_taken_where_their_disparity_is_possible() {
     let place = Place::new();
     let options = kitti_folder(&place);
