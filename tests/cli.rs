@@ -3,6 +3,8 @@
 
 #[path = "support/binary.rs"]
 mod binary;
+#[path = "cli/formats.rs"]
+mod formats;
 #[path = "cli/generate.rs"]
 mod generate;
 #[path = "cli/pairing.rs"]
@@ -15,8 +17,9 @@ use std::time::{Duration, Instant};
 
 use binary::{Outcome, Workplace};
 
-const COMMANDS: [&str; 6] = [
-    "generate", "prepare", "train", "evaluate", "predict", "devices",
+const COMMANDS: [&str; 10] = [
+    "generate", "import", "export", "validate", "inspect", "prepare", "train", "evaluate",
+    "predict", "devices",
 ];
 
 /// A dataset that is made in a moment.

@@ -165,6 +165,15 @@ fn pair_problems(rig: &StereoRig, frame: &Frame, left: &Label, right: &Label) ->
                  {expected_px:.1} px"
             );
             findings.push(finding(FindingKind::Disparity, reason));
+        } else if left.kind == BoxKind::Tight
+            && !rig.boxes_agree(&left.box_pixel, &right.box_pixel, z_m)
+        {
+            let [left_x, right_x] = [left, right].map(|label| label.box_pixel.center()[0]);
+            let reason = format!(
+                "the boxes' centres are at x = {left_x:.1} and {right_x:.1} px, and {distance_m} m \
+                 is a disparity of {expected_px:.1} px"
+            );
+            findings.push(finding(FindingKind::Disparity, reason));
         }
     }
     findings
