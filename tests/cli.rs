@@ -26,6 +26,7 @@ const COMMANDS: [&str; 10] = [
 const TINY_DATASET: &str = "
 frames = 6
 frames_per_scene = 3
+vehicles = 1
 width = 128
 height = 72
 distance_max_m = 15.0

@@ -217,7 +217,8 @@ fn obstacles(city: &City, around: [f32; 2], radius_m: f32) -> Vec<[[f32; 2]; 2]>
         })
         .chain(city.plants.iter().map(|plant| {
             let foot = [plant.foot.x, plant.foot.y];
-            [-TRUNK_M, TRUNK_M].map(|r| foot.map(|v| v + r))
+            let reach = plant.reach_below(SOLID_M[1]).max(TRUNK_M);
+            [-reach, reach].map(|r| foot.map(|v| v + r))
         }))
         .collect()
 }

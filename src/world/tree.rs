@@ -41,6 +41,15 @@ impl Plant {
         }
     }
 
+    /// How far from its foot there is trunk or leaves below a height, metres.
+    pub fn reach_below(&self, height_m: f32) -> f32 {
+        let form = &FORMS[usize::from(self.template % KINDS)];
+        let [wide, high] = form.radii;
+        // The crown is about an ellipsoid, widest at its middle.
+        let down = ((form.center - height_m / self.scale) / high).clamp(0.0, 1.0);
+        self.scale * (wide * (1.0 - down * down).sqrt()).max(form.trunk)
+    }
+
     /// A direction of the template in the world.
     pub fn world_from_template(&self, v: Vec3A) -> Vec3A {
         let [sin, cos] = self.turn;
