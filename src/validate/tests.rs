@@ -57,6 +57,7 @@ fn every_defect_is_found_as_what_it_is() {
         }),
         (Kind::Label, "has no distance", |f| {
             f.write("frames/left_00001.txt", "7 0 10 10 40 40 25 25 - sphere\n");
+            f.write("frames/right_00001.txt", "");
         }),
         (Kind::Partner, "image alone", |f| {
             f.write("frames/right_00001.txt", "# nothing\n");
