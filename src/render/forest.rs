@@ -101,6 +101,14 @@ impl Forest {
         })
     }
 
+    /// The box around each plant: lowest and highest corner.
+    pub fn bounds(&self) -> impl Iterator<Item = [Vec3A; 2]> {
+        self.plants.iter().map(|plant| {
+            let around = bounds(plant, &self.templates[usize::from(plant.template)]);
+            [around.min, around.max]
+        })
+    }
+
     pub fn plant(&self, index: u32) -> &Plant {
         &self.plants[index as usize]
     }

@@ -3,6 +3,7 @@
 use glam::Vec3A;
 
 use super::pose::{Eye, RigPose};
+use super::screen::Screens;
 use super::silhouette::Silhouette;
 use super::trace::Stage;
 use crate::geometry::StereoRig;
@@ -46,10 +47,12 @@ impl Instances {
         // How much of its pixel the vehicle in the map covers, sixteenths.
         let mut most = vec![0_u8; pixels];
         let mut counts = vec![0_u8; pixels];
+        let screens = Screens::new(stage, rig, pose, eye);
         let silhouettes = (0..stage.scene().vehicles.len())
             .map(|vehicle| {
                 let mut touched = Vec::new();
                 let silhouette = Silhouette::measure_samples(
+                    &screens,
                     stage,
                     vehicle,
                     rig,

@@ -14,6 +14,7 @@ mod maps;
 mod material;
 mod openness;
 mod pose;
+mod screen;
 mod shade;
 mod silhouette;
 mod trace;

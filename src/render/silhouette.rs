@@ -1,6 +1,9 @@
 //! Where a vehicle is in an image, and how much of it can be seen.
 
+use glam::Vec3A;
+
 use super::pose::{Eye, RigPose};
+use super::screen::{MayHide, Screens};
 use super::trace::Stage;
 use crate::geometry::{Camera, PixelBox, StereoRig};
 
@@ -31,6 +34,28 @@ struct Grid {
     origin: [f64; 2],
     step: [f64; 2],
     count: [u32; 2],
+    /// Cells along the side of a pixel, or 1 where cells and pixels have nothing in common.
+    block: u32,
+}
+
+impl Grid {
+    /// The middle of a cell, pixels.
+    fn middle(&self, cell: [u32; 2]) -> [f64; 2] {
+        [0, 1].map(|i| self.origin[i] + (f64::from(cell[i]) + 0.5) * self.step[i])
+    }
+
+    /// The box of some cells in a square, from its first one.
+    fn cells(&self, first: [u32; 2], side: u32) -> PixelBox {
+        let [low, high] = [0, side]
+            .map(|more| [0, 1].map(|i| self.origin[i] + f64::from(first[i] + more) * self.step[i]));
+        PixelBox::new(low[0], low[1], high[0], high[1])
+    }
+
+    /// The cells of a block, row by row.
+    fn samples(&self, [column, row]: [u32; 2]) -> impl Iterator<Item = [u32; 2]> + use<> {
+        let block = self.block;
+        (row..row + block).flat_map(move |y| (column..column + block).map(move |x| [x, y]))
+    }
 }
 
 /// A vehicle, by its index in the scene, before one camera.
@@ -53,12 +78,14 @@ impl Silhouette {
         pose: &RigPose,
         eye: Eye,
     ) -> Self {
-        Self::measure_samples(stage, vehicle, rig, pose, eye, &mut |_, _| {})
+        let screens = Screens::new(stage, rig, pose, eye);
+        Self::measure_samples(&screens, stage, vehicle, rig, pose, eye, &mut |_, _| {})
     }
 
     /// [`Silhouette::measure`] that hands out every sample that sees the vehicle: its pixel and the
     /// part of the pixel that it stands for, sixteenths.
-    pub(crate) fn measure_samples(
+    pub(super) fn measure_samples(
+        screens: &Screens,
         stage: &Stage,
         vehicle: usize,
         rig: &StereoRig,
@@ -90,9 +117,11 @@ impl Silhouette {
             origin,
             step: [1.0 / f64::from(per_side); 2],
             count,
+            block: per_side,
         };
         let sixteenths = (16 / (per_side * per_side)) as u8;
-        sight.on_grid(&grid, &mut |pixel| seen(pixel, sixteenths))
+        let hidden = screens.before(vehicle, &area, sight.furthest_m(), eye.camera(rig));
+        sight.on_grid(&grid, Some(&hidden), &mut |pixel| seen(pixel, sixteenths))
     }
 
     /// A quick look with the same number of samples however large the vehicle is in the image: good
@@ -120,8 +149,9 @@ impl Silhouette {
             origin: [area.x_min, area.y_min],
             step,
             count: [SAMPLES; 2],
+            block: 1,
         };
-        sight.on_grid(&grid, &mut |_| {}).visible
+        sight.on_grid(&grid, None, &mut |_| {}).visible
     }
 
     const NONE: Self = Self {
@@ -131,31 +161,61 @@ impl Silhouette {
 }
 
 impl Sight<'_> {
-    fn on_grid(&self, grid: &Grid, on_seen: &mut dyn FnMut([u32; 2])) -> Silhouette {
+    /// Depth of the vehicle's furthest point, metres.
+    fn furthest_m(&self) -> f32 {
+        let [x, y, z] = self.pose.forward_world;
+        let position = self.pose.position_world;
+        let corners = self.stage.vehicle_triangles(self.vehicle).iter();
+        let depths = corners.flat_map(|t| t.vertices).map(|corner| {
+            let [dx, dy, dz] = [0, 1, 2].map(|i| f64::from(corner[i]) - position[i]);
+            (x * dx + y * dy + z * dz) as f32
+        });
+        depths.fold(0.0, f32::max) + 0.01
+    }
+
+    /// `hidden` knows in which pixels nothing can hide the vehicle.
+    fn on_grid(
+        &self,
+        grid: &Grid,
+        hidden: Option<&MayHide>,
+        on_seen: &mut dyn FnMut([u32; 2]),
+    ) -> Silhouette {
         let camera = self.eye.camera(self.rig);
-        let origin = self.pose.eye_world(self.rig, self.eye);
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+        let is_inside = |[x, y]: [f64; 2]| x > 0.0 && x < width && y > 0.0 && y < height;
         let (mut whole, mut seen) = (0_u64, 0_u64);
         let mut tight: Option<PixelBox> = None;
-        for row in 0..grid.count[1] {
-            for column in 0..grid.count[0] {
-                let x = grid.origin[0] + f64::from(column) * grid.step[0];
-                let y = grid.origin[1] + f64::from(row) * grid.step[1];
-                let [middle_x, middle_y] = [x + grid.step[0] * 0.5, y + grid.step[1] * 0.5];
-                let direction = self.pose.world_from_pixel(camera, [middle_x, middle_y]);
-                let Some(t) = self.stage.vehicle_distance(self.vehicle, origin, direction) else {
-                    continue;
-                };
-                whole += 1;
-                let inside =
-                    middle_x > 0.0 && middle_x < width && middle_y > 0.0 && middle_y < height;
-                if !inside || !self.stage.is_free_until(origin, direction, t - TOUCH_M) {
+        let mut see = |cells: PixelBox, samples: u32, pixel: [u32; 2]| {
+            seen += u64::from(samples);
+            (0..samples).for_each(|_| on_seen(pixel));
+            tight = Some(tight.map_or(cells, |b| b.around(&cells)));
+        };
+        for first_row in (0..grid.count[1]).step_by(grid.block as usize) {
+            for first_column in (0..grid.count[0]).step_by(grid.block as usize) {
+                let block = [first_column, first_row];
+                let middle = grid.middle(block);
+                let pixel = middle.map(|v| v as u32);
+                let is_open = hidden.is_some_and(|hidden| !hidden.at(pixel));
+                if grid.block > 2 && is_open && is_inside(middle) && self.fills(grid, block) {
+                    let samples = grid.block * grid.block;
+                    whole += u64::from(samples);
+                    see(grid.cells(block, grid.block), samples, pixel);
                     continue;
                 }
-                seen += 1;
-                on_seen([middle_x as u32, middle_y as u32]);
-                let cell = PixelBox::new(x, y, x + grid.step[0], y + grid.step[1]);
-                tight = Some(tight.map_or(cell, |b| b.around(&cell)));
+                for sample in grid.samples(block) {
+                    let middle = grid.middle(sample);
+                    let Some((ray, t)) = self.hit(middle) else {
+                        continue;
+                    };
+                    whole += 1;
+                    let is_free = || {
+                        let [origin, direction] = ray;
+                        is_open || self.stage.is_free_until(origin, direction, t - TOUCH_M)
+                    };
+                    if is_inside(middle) && is_free() {
+                        see(grid.cells(sample, 1), 1, middle.map(|v| v as u32));
+                    }
+                }
             }
         }
         let visible = if whole == 0 {
@@ -164,6 +224,25 @@ impl Sight<'_> {
             seen as f64 / whole as f64
         };
         Silhouette { tight, visible }
+    }
+
+    /// The ray through a point of the image and the distance at which it hits the vehicle.
+    fn hit(&self, point_pixel: [f64; 2]) -> Option<([Vec3A; 2], f32)> {
+        let camera = self.eye.camera(self.rig);
+        let origin = self.pose.eye_world(self.rig, self.eye);
+        let direction = self.pose.world_from_pixel(camera, point_pixel);
+        let t = self
+            .stage
+            .vehicle_distance(self.vehicle, origin, direction)?;
+        Some(([origin, direction], t))
+    }
+
+    /// Whether the vehicle fills a block: its corner samples stand for those between them.
+    fn fills(&self, grid: &Grid, [column, row]: [u32; 2]) -> bool {
+        let last = grid.block - 1;
+        [[0, 0], [last, last], [last, 0], [0, last]]
+            .into_iter()
+            .all(|[x, y]| self.hit(grid.middle([column + x, row + y])).is_some())
     }
 }
 
@@ -223,8 +302,6 @@ fn near_image(area: &PixelBox, camera: &Camera) -> Option<PixelBox> {
 
 #[cfg(test)]
 mod tests {
-    use glam::Vec3A;
-
     use super::*;
     use crate::render::trace::Object;
     use crate::world::Scene;

@@ -288,6 +288,17 @@ impl Stage {
         }
     }
 
+    /// All triangles of city and vehicles, metres, world.
+    pub(super) fn triangles(&self) -> impl Iterator<Item = (Object, &Triangle)> {
+        self.objects.iter().copied().zip(&self.all.triangles)
+    }
+
+    /// The boxes around trees and bushes: lowest and highest corner, metres, world.
+    pub(super) fn plant_bounds(&self) -> impl Iterator<Item = (Object, [Vec3A; 2])> {
+        let plants = (0_u32..).map(Object::Plant);
+        plants.zip(self.forest.bounds())
+    }
+
     /// The triangles of one vehicle, metres, world.
     pub(crate) fn vehicle_triangles(&self, vehicle: usize) -> &[Triangle] {
         &self.vehicles[vehicle].triangles
