@@ -151,6 +151,10 @@ impl From<VehicleCount> for Numbers {
 /// What is written beside images and labels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
+#[allow(
+    clippy::struct_excessive_bools,
+    reason = "independent switches, not states"
+)]
 pub struct Outputs {
     /// Depth maps.
     pub depth: bool,

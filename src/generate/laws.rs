@@ -74,7 +74,7 @@ fn depth_disparity_and_labels_say_the_same_of_every_pixel_in_both_images() {
             let tolerance = rig.disparity_px(z) * 0.005 / z + 0.5 / 256.0 + 1e-6;
             assert!((disparity_px - rig.disparity_px(z)).abs() < tolerance);
             // The same point of the world in the right image.
-            let x = (index as u32 % SIZE[0]) as f64 + 0.5 - disparity_px;
+            let x = f64::from(index as u32 % SIZE[0]) + 0.5 - disparity_px;
             if x < 0.0 {
                 continue;
             }
