@@ -130,7 +130,7 @@ impl View<'_> {
             .flat_map(|y| (0..width).map(move |x| (x, y)))
             .map(|(x, y)| {
                 let here = around.at(x, y);
-                if side > 1 && (here.face & VEHICLE_FACES != 0 || around.is_edge(x, y)) {
+                if side > 1 && around.is_edge(x, y) {
                     self.average(x, y, side, around.lit(x, y))
                 } else {
                     here.light
@@ -227,16 +227,15 @@ impl Around<'_> {
         ]
     }
 
-    /// Whether a neighbour has a clearly different brightness; across the edge of a face and around
-    /// the vehicle, little is enough.
+    /// Whether a neighbour has a clearly different brightness; across the edge of a face and on
+    /// vehicles, little is enough.
     fn is_edge(&self, x: u32, y: u32) -> bool {
         let here = self.at(x, y);
         let brightness = |s: Sample| s.light.x + s.light.y + s.light.z;
         self.neighbors(x, y).into_iter().any(|other| {
             let (a, b) = (brightness(here), brightness(other));
-            let least = if other.face & VEHICLE_FACES != 0 {
-                return true;
-            } else if here.face == other.face && here.lit == other.lit {
+            let vehicle = (here.face | other.face) & VEHICLE_FACES != 0;
+            let least = if here.face == other.face && here.lit == other.lit && !vehicle {
                 if here.face == GROUND_FACE {
                     // Its textures are averaged over the pixel as they are.
                     return false;

@@ -141,13 +141,20 @@ fn wet(point: &mut Point, wetness: f32, footprint_m: f32, seed: u32) {
     point.mirror = 0.025;
     point.gloss = puddle.max(0.75 * film).min(1.0);
     // Grains that stand out of the film spread what it mirrors.
-    let rough = 0.11 * (1.0 - puddle);
+    let rough = 0.09 * (1.0 - puddle) * (1.2 - footprint_m / 0.12).clamp(0.25, 1.0);
     if rough > 0.0 {
-        let cell = [x, y].map(|v| (v * (1.0 / (0.02 + footprint_m))).floor() as i32);
+        // A lattice of a power of two, the same for both eyes.
+        let cell_m = power_of_two_below(footprint_m.max(0.02));
+        let cell = [x, y].map(|v| (v / cell_m).floor() as i32);
         let bits = noise::hash(cell[0], cell[1], seed ^ 0x93);
         let tilt = |bits: u32| ((bits & 0xff) as f32 / 127.5 - 1.0) * rough;
         point.mirror_normal = Vec3A::new(tilt(bits), tilt(bits >> 8), 1.0).normalize();
     }
+}
+
+/// The largest power of two that is not above a positive number.
+pub(super) fn power_of_two_below(value: f32) -> f32 {
+    f32::from_bits(value.to_bits() & 0x7f80_0000)
 }
 
 /// Share of the sky that the ground sees beside and under the vehicles.

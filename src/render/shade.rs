@@ -2,7 +2,7 @@
 
 use glam::Vec3A;
 
-use super::material::{Gaze, Point, SKY_FACE, point};
+use super::material::{Gaze, Point, SKY_FACE, point, power_of_two_below};
 use super::trace::{Object, Stage};
 use crate::world::noise::{self, fractal, mix, smooth_step};
 use crate::world::sky::Light;
@@ -272,7 +272,7 @@ impl Shader<'_> {
     /// the world alone, so that both eyes see the same grain.
     fn toward_sun(&self, at: Vec3A, footprint_m: f32) -> Vec3A {
         // The largest power of two that a pixel holds, as the lattice's cell.
-        let cell = f32::from_bits(footprint_m.max(0.004).to_bits() & 0x7f80_0000);
+        let cell = power_of_two_below(footprint_m.max(0.004));
         let [x, y, z] = (at / cell).to_array().map(|v| v.floor() as i32);
         // Steps of the plastic number's powers (Roberts 2018) spread evenly over neighbours, so that
         // the samples of a pixel never cluster as random ones do.

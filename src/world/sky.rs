@@ -19,8 +19,8 @@ const SIDE: usize = 64;
 /// Solar illuminance above the atmosphere, klx.
 const SOLAR_KLX: f32 = 128.0;
 /// Preetham's zenith is known to be too bright for hazy air; this keeps the sky's share of the
-/// light at a fifth on a clear noon, as measured (CIE standard illuminance of clear skies).
-const CLEAR_SCALE: f32 = 0.52;
+/// light at a quarter on a clear noon, as measured (CIE standard illuminance of clear skies).
+const CLEAR_SCALE: f32 = 0.62;
 
 /// The state of the air.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,7 +76,7 @@ impl Light {
             .map(|texel| {
                 let toward = direction_of(texel % SIDE, texel / SIDE);
                 let blue = clear.radiance(toward);
-                let pale = Vec3A::new(blue.x.min(0.97 * blue.y), blue.y, blue.z.max(1.07 * blue.y));
+                let pale = Vec3A::new(blue.x.min(0.90 * blue.y), blue.y, blue.z.max(1.16 * blue.y));
                 let blue = blue + (pale - blue) * day;
                 // Single clouds whiten the sky on average; their shapes are drawn where seen.
                 let mean = blue + (cloud - blue) * (0.35 * air.clouds);
