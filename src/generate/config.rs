@@ -153,7 +153,7 @@ impl From<VehicleCount> for Numbers {
 #[serde(deny_unknown_fields, default)]
 #[allow(
     clippy::struct_excessive_bools,
-    reason = "each output is wanted or not, whatever the others are"
+    reason = "independent switches, not states"
 )]
 pub struct Outputs {
     /// Depth maps.
