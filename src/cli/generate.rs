@@ -19,8 +19,8 @@ use super::{presets, stdout, terminal};
 #[derive(Debug, Args)]
 #[command(after_long_help = EXAMPLES)]
 pub struct GenerateArgs {
-    /// Settings that come with the program: `quick` has 700 small frames up to 60 m and takes a
-    /// minute or two, `paper` has 7000 frames of 2048x1152 up to 200 m and takes hours
+    /// Settings that come with the program: `quick` has 360 small frames up to 40 m and takes
+    /// three minutes, `paper` has 7000 frames of 2048x1152 up to 200 m and takes hours
     #[arg(long, value_parser = presets::names(), default_value = presets::DEFAULT, conflicts_with = "config")]
     preset: String,
     /// Settings from a TOML file; what it leaves out is as in `quick`, without test frames

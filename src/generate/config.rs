@@ -204,7 +204,7 @@ impl Default for GenerateConfig {
     fn default() -> Self {
         Self {
             seed: 1,
-            frames: 700,
+            frames: 360,
             frames_per_scene: 4,
             vehicles: VehicleCount { least: 4, most: 8 },
             width: 640,
@@ -212,13 +212,13 @@ impl Default for GenerateConfig {
             hfov_deg: 90.0,
             baseline_m: 0.8,
             distance_min_m: 10.0,
-            distance_max_m: 60.0,
+            distance_max_m: 40.0,
             suns: Sun::ALL.to_vec(),
             samples_per_pixel: 4,
             noise_counts: 1.5,
-            min_visible: 0.35,
-            ignore_below_visible: 0.25,
-            ignore_below_px: 6.0,
+            min_visible: 0.55,
+            ignore_below_visible: 0.5,
+            ignore_below_px: 8.0,
             val_fraction: 0.2,
             split: SplitMode::Scene,
             outputs: Outputs::default(),
@@ -397,7 +397,7 @@ mod tests {
     #[test]
     fn the_presets_are_valid_and_have_the_sizes_they_promise() {
         let quick = GenerateConfig::preset("quick").unwrap();
-        assert_eq!((quick.frames, quick.width, quick.scenes()), (700, 640, 175));
+        assert_eq!((quick.frames, quick.width, quick.scenes()), (360, 640, 90));
         assert_eq!(quick.test.unwrap().frames(), 36);
         let paper = GenerateConfig::preset("paper").unwrap();
         assert_eq!(
@@ -414,12 +414,15 @@ mod tests {
     }
 
     #[test]
-    fn the_quick_preset_is_the_default_but_for_the_test_frames() {
-        let quick = GenerateConfig {
+    fn the_quick_preset_is_the_default_but_for_the_bodies_and_the_test_frames() {
+        let mut quick = GenerateConfig {
             test: None,
             ..GenerateConfig::preset("quick").unwrap()
         };
-        assert_eq!(quick, GenerateConfig::default());
+        let all = GenerateConfig::default();
+        assert!(quick.appearance.bodies.len() < all.appearance.bodies.len());
+        quick.appearance.bodies.clone_from(&all.appearance.bodies);
+        assert_eq!(quick, all);
     }
 
     #[test]

@@ -281,8 +281,8 @@ mod tests {
                 0
             };
         }
-        // A fifth of the 700 default frames.
-        assert_eq!(validating, 140);
+        // A fifth of the 360 default frames.
+        assert_eq!(validating, 72);
     }
 
     #[test]
@@ -309,6 +309,7 @@ mod tests {
         let config = GenerateConfig {
             frames: 100,
             frames_per_scene: 10,
+            distance_max_m: 60.0,
             ..GenerateConfig::default()
         };
         for scene in plan(&config) {
