@@ -42,12 +42,12 @@ pub fn inspect(
     progress: &dyn Progress,
 ) -> Result<Inspection> {
     let summary = Summary::new(dataset, kind);
-    let rows = samples::draw(dataset, kind, progress)?;
+    let samples = samples::draw(dataset, kind, progress)?;
     let sheet = out.join("inspect.png");
     let page = out.join("inspect.html");
     files::create_folder(out)?;
-    files::write_atomically(&sheet, &png_bytes(&sheet, &sheet::compose(&rows))?)?;
-    let text = page::render(dataset, kind, &summary, &rows)?;
+    files::write_atomically(&sheet, &png_bytes(&sheet, &sheet::compose(&samples.rows))?)?;
+    let text = page::render(dataset, kind, &summary, &samples)?;
     files::write_atomically(&page, text.as_bytes())?;
     Ok(Inspection {
         sheet,

@@ -1,5 +1,6 @@
 //! A dataset that has been read from foreign files and waits to be written.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -10,8 +11,8 @@ use super::copy;
 use super::report::ImportReport;
 use super::splits::{self, SplitSettings};
 use crate::dataset::{
-    BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, Problem, Side, Split, SplitCounts,
-    label_file_text, stamp_name, write_frames_csv,
+    BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, ObjectRow, Problem, Side, Split,
+    SplitCounts, label_file_text, stamp_name, write_frames_csv, write_objects_csv,
 };
 use crate::error::{Error, Result};
 use crate::files;
@@ -41,6 +42,8 @@ pub(super) struct DraftFrame {
     pub images: Vec<PathBuf>,
     /// Labels of each image.
     pub labels: Vec<Vec<Label>>,
+    /// Sizes and places of its vehicles, where they are known; their stamp is the frame's.
+    pub objects: Vec<ObjectRow>,
     /// The split that the source gives it.
     pub split: Option<Split>,
     /// Its row of `frames.csv`; the split in it is not decided yet.
@@ -54,6 +57,7 @@ impl DraftFrame {
             name,
             images,
             labels,
+            objects: Vec::new(),
             split: None,
             row: FrameRow {
                 stamp,
@@ -93,7 +97,7 @@ pub(super) fn stamps(names: &[String]) -> Vec<u64> {
         })
         .collect();
     let distinct = |numbers: &Vec<u64>| {
-        let set: std::collections::BTreeSet<_> = numbers.iter().collect();
+        let set: BTreeSet<_> = numbers.iter().collect();
         set.len() == names.len()
     };
     numbers
@@ -227,6 +231,18 @@ impl Draft {
     fn finish(&self, out: &Path) -> Result<()> {
         let rows: Vec<FrameRow> = self.frames.iter().map(|frame| frame.row.clone()).collect();
         write_frames_csv(out.join("frames.csv"), &rows)?;
+        let objects: Vec<ObjectRow> = self
+            .frames
+            .iter()
+            .flat_map(|frame| {
+                let stamp = frame.row.stamp;
+                let objects = frame.objects.iter().cloned();
+                objects.map(move |object| ObjectRow { stamp, ..object })
+            })
+            .collect();
+        if !objects.is_empty() {
+            write_objects_csv(out.join("objects.csv"), &objects)?;
+        }
         files::write_atomically(out.join("sources.csv"), self.sources()?.as_bytes())?;
         let mut made_by = toml::Table::new();
         made_by.insert("program".to_owned(), self.program.into());
@@ -298,19 +314,20 @@ impl Draft {
         for frame in &self.frames {
             *counts.of_mut(frame.row.split) += 1;
         }
-        // Labels come once per kind of box.
-        let kind = self.kinds.first().copied().unwrap_or(BoxKind::Tight);
-        let vehicles = || {
-            let labels = self.frames.iter().filter_map(|frame| frame.labels.first());
-            labels.flatten().filter(move |label| label.kind == kind)
-        };
+        // Labels come once per kind of box, and not every vehicle has every kind.
+        let mut vehicles: BTreeMap<(u64, u32), &Label> = BTreeMap::new();
+        for frame in &self.frames {
+            for label in frame.labels.first().into_iter().flatten() {
+                vehicles.insert((frame.row.stamp, label.id), label);
+            }
+        }
+        let count =
+            |wanted: fn(&Label) -> bool| vehicles.values().filter(|label| wanted(label)).count();
         ImportReport {
             counts,
-            vehicles: vehicles().count(),
-            ignored: vehicles().filter(|label| label.ignored).count(),
-            with_distance: vehicles()
-                .filter(|label| label.distance_m.is_some())
-                .count(),
+            vehicles: vehicles.len(),
+            ignored: count(|label| label.ignored),
+            with_distance: count(|label| label.distance_m.is_some()),
             left_out: self.problems,
         }
     }

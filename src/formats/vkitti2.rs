@@ -176,6 +176,7 @@ impl Read<'_> {
             };
             let mut sides = [Vec::new(), Vec::new()];
             let mut judged = Vec::new();
+            let mut rows = Vec::new();
             for (track, class) in &classes {
                 let seen = [0, 1].map(|camera| boxes.get(&(number, camera, *track)));
                 // A vehicle is where the left camera says; without it, the right one's word.
@@ -193,11 +194,12 @@ impl Read<'_> {
                 let least = visible.iter().flatten().copied().fold(1.0, f64::min);
                 let sighting = Sighting {
                     id: *track,
-                    class: *class,
+                    class: class.1,
                     ignored: least < self.options.least_visible,
                     visible,
                     boxes: seen.map(|seen| seen.map(|(area, _)| *area)),
                 };
+                rows.push(vehicle::object_row(*track, &class.0, &cuboid));
                 if !sighting.ignored {
                     judged.push(cuboid);
                 }
@@ -210,6 +212,7 @@ impl Read<'_> {
             let stamp = self.frames.len() as u64 + 1;
             let images = vec![left.clone(), right.clone()];
             let mut frame = DraftFrame::new(label, stamp, images, sides.to_vec());
+            frame.objects = rows;
             frame.row.scene = Some(scene);
             frame.row.sun = ["morning", "sunset"]
                 .contains(&variant)
@@ -256,14 +259,18 @@ impl Read<'_> {
     }
 }
 
-/// Our class of each track.
-fn track_classes(folder: &Path, classes: &ClassMap) -> Result<BTreeMap<u32, u32>, String> {
+/// The foreign class of each track and ours.
+fn track_classes(
+    folder: &Path,
+    classes: &ClassMap,
+) -> Result<BTreeMap<u32, (String, u32)>, String> {
     let table = Table::read(&folder.join("info.txt"))?;
     let [track, label] = table.columns(["trackID", "label"])?;
     let mut found = BTreeMap::new();
     for row in table.rows() {
-        if let Some(class) = classes.index_of(row.text(label)?) {
-            found.insert(row.whole(track)?, class);
+        let name = row.text(label)?;
+        if let Some(class) = classes.index_of(name) {
+            found.insert(row.whole(track)?, (name.to_owned(), class));
         }
     }
     Ok(found)

@@ -2,7 +2,18 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::PixelBox;
 use crate::error::{Error, Result};
+
+/// Boxes nearer to a side of the image are cut off by it, pixels.
+const BORDER_PX: f64 = 2.0;
+
+/// Boxes' disparities may differ by this from their vehicle's, pixels, and in addition by
+/// [`BOX_SLACK_PART`].
+const BOX_SLACK_PX: f64 = 1.5;
+
+/// Part of the box's width: the near side of a car at 9 m moves its box by a tenth.
+const BOX_SLACK_PART: f64 = 0.15;
 
 /// A pinhole camera without distortion.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -135,6 +146,24 @@ impl StereoRig {
     /// Depth of a point with this disparity: the inverse of [`StereoRig::disparity_px`].
     pub fn depth_m(&self, disparity_px: f64) -> f64 {
         self.focal_px() * self.baseline_m / disparity_px
+    }
+
+    /// Whether a vehicle's visible boxes lie as far apart as its depth says.
+    ///
+    /// Loosely: the vehicle's near side has more disparity than its centre, and hidden parts move
+    /// edges. Boxes that touch a side of their image say nothing and pass.
+    pub fn boxes_agree(&self, left: &PixelBox, right: &PixelBox, z_m: f64) -> bool {
+        let cut_off = |area: &PixelBox, camera: &Camera| {
+            area.x_min < BORDER_PX || area.x_max > f64::from(camera.width) - BORDER_PX
+        };
+        if cut_off(left, &self.left) || cut_off(right, &self.right) || z_m <= 0.0 {
+            return true;
+        }
+        let [left_x, right_x] = [(left, &self.left), (right, &self.right)]
+            .map(|(area, camera)| (area.center()[0] - camera.center_x_px) / camera.focal_x_px);
+        let disparity_px = (left_x - right_x) * self.focal_px();
+        let slack_px = BOX_SLACK_PX + BOX_SLACK_PART * left.width().max(right.width());
+        (disparity_px - self.disparity_px(z_m)).abs() <= slack_px
     }
 
     /// Projects a point (metres, rig axes) into the left and the right image.

@@ -9,7 +9,7 @@ use minijinja::value::Serde;
 use serde::Serialize;
 
 use super::charts;
-use super::samples::Row;
+use super::samples::{Row, Sample, Samples};
 use super::summary::Summary;
 use crate::dataset::{BoxKind, StereoDataset};
 use crate::error::{Error, Result};
@@ -29,6 +29,7 @@ struct Page<'a> {
     splits: Vec<SplitRow>,
     charts: Vec<ChartPart>,
     rows: Vec<RowPart<'a>>,
+    pairs: Vec<SamplePart<'a>>,
 }
 
 #[derive(Serialize)]
@@ -63,7 +64,7 @@ pub(super) fn render(
     dataset: &StereoDataset,
     kind: BoxKind,
     summary: &Summary,
-    rows: &[Row],
+    samples: &Samples,
 ) -> Result<String> {
     let splits = summary.splits.iter().map(|split| {
         let (red, green, blue) = charts::color(split.split);
@@ -93,7 +94,12 @@ pub(super) fn render(
         left_out: dataset.problems.iter().map(ToString::to_string).collect(),
         splits: splits.collect(),
         charts: charts.collect(),
-        rows: rows.iter().map(row_part).collect::<Result<_>>()?,
+        rows: samples.rows.iter().map(row_part).collect::<Result<_>>()?,
+        pairs: samples
+            .pairs
+            .iter()
+            .map(sample_part)
+            .collect::<Result<_>>()?,
     };
     let failed =
         |error: minijinja::Error| Error::value("page", error.to_string(), "report this as a bug");
@@ -136,17 +142,18 @@ fn facts(dataset: &StereoDataset, kind: BoxKind) -> Vec<[String; 2]> {
 }
 
 fn row_part(row: &Row) -> Result<RowPart<'_>> {
-    let samples = row.samples.iter().map(|sample| {
-        Ok(SamplePart {
-            caption: &sample.caption,
-            jpeg: jpeg_base64(&sample.picture)?,
-            width: sample.picture.width(),
-            height: sample.picture.height(),
-        })
-    });
     Ok(RowPart {
         title: &row.title,
-        samples: samples.collect::<Result<_>>()?,
+        samples: row.samples.iter().map(sample_part).collect::<Result<_>>()?,
+    })
+}
+
+fn sample_part(sample: &Sample) -> Result<SamplePart<'_>> {
+    Ok(SamplePart {
+        caption: &sample.caption,
+        jpeg: jpeg_base64(&sample.picture)?,
+        width: sample.picture.width(),
+        height: sample.picture.height(),
     })
 }
 

@@ -13,10 +13,26 @@ use crate::progress::Progress;
 use crate::world::Sun;
 
 /// Width of a sample, pixels.
-pub(super) const SAMPLE_WIDTH: u32 = 360;
+const SAMPLE_WIDTH: u32 = 400;
 
 /// Samples in a row, nearest first.
-pub(super) const COLUMNS: usize = 6;
+const COLUMNS: usize = 6;
+
+/// Images of driving scenes are wide and low; from this ratio of width to height on, fewer and
+/// wider samples show them.
+const WIDE: f64 = 2.4;
+
+/// Width of a sample of a wide image, pixels.
+const WIDE_SAMPLE_WIDTH: u32 = 620;
+
+/// Samples of wide images in a row.
+const WIDE_COLUMNS: usize = 4;
+
+/// Stereo pairs that are shown whole.
+const PAIRS: usize = 3;
+
+/// Width of an image of a pair, pixels.
+const PAIR_IMAGE_WIDTH: u32 = 620;
 
 /// Rows at most: what has more suns, or none, is shown in part.
 const MOST_ROWS: usize = 8;
@@ -36,8 +52,26 @@ pub(super) struct Row {
 pub(super) struct Sample {
     /// Frame, split and distance, in words.
     pub caption: String,
-    /// At most [`SAMPLE_WIDTH`] wide.
+    /// The picture.
     pub picture: RgbImage,
+}
+
+/// Everything that is shown.
+pub(super) struct Samples {
+    /// Left images by sun and distance.
+    pub rows: Vec<Row>,
+    /// Left and right images side by side.
+    pub pairs: Vec<Sample>,
+}
+
+/// Width of a sample and their number in a row.
+fn grid(dataset: &StereoDataset) -> (u32, usize) {
+    let camera = &dataset.rig().left;
+    if f64::from(camera.width) > WIDE * f64::from(camera.height) {
+        (WIDE_SAMPLE_WIDTH, WIDE_COLUMNS)
+    } else {
+        (SAMPLE_WIDTH, COLUMNS)
+    }
 }
 
 /// Draws samples of every sun, or of every split where suns are unknown, over the distances that
@@ -46,7 +80,7 @@ pub(super) fn draw(
     dataset: &StereoDataset,
     kind: BoxKind,
     progress: &dyn Progress,
-) -> Result<Vec<Row>> {
+) -> Result<Samples> {
     let chosen = choose(dataset, kind);
     let total: usize = chosen.iter().map(|(_, frames)| frames.len()).sum();
     progress.begin("drawing samples", total as u64);
@@ -82,8 +116,63 @@ pub(super) fn draw(
     progress.end();
     match failure {
         Some(error) if rows.is_empty() => Err(error),
-        _ => Ok(rows),
+        _ => Ok(Samples {
+            rows,
+            pairs: pairs(dataset, kind),
+        }),
     }
+}
+
+/// Pairs from the first, the middle and the last third of the distances.
+fn pairs(dataset: &StereoDataset, kind: BoxKind) -> Vec<Sample> {
+    let mut frames: Vec<&Frame> = dataset
+        .frames
+        .iter()
+        .filter(|frame| !frame.vehicles(kind).is_empty())
+        .collect();
+    frames.sort_by(|a, b| {
+        let distance = |frame: &Frame| nearest_m(frame, kind).unwrap_or(f64::INFINITY);
+        let order = distance(a).total_cmp(&distance(b));
+        order.then(a.row.stamp.cmp(&b.row.stamp))
+    });
+    let count = frames.len().min(PAIRS);
+    (0..count)
+        .filter_map(|i| {
+            let frame = frames[(2 * i + 1) * frames.len() / (2 * count)];
+            pair_sample(dataset, frame, kind).ok()
+        })
+        .collect()
+}
+
+fn pair_sample(dataset: &StereoDataset, frame: &Frame, kind: BoxKind) -> Result<Sample> {
+    let rig = dataset.rig();
+    let [left, right] = frame.load(rig)?;
+    let scale = f64::from(PAIR_IMAGE_WIDTH) / f64::from(rig.left.width);
+    let annotations: Vec<Annotation> = frame
+        .vehicles(kind)
+        .iter()
+        .map(|vehicle| Annotation {
+            left: Some(scaled(&vehicle.left.box_pixel, scale)),
+            right: Some(scaled(&vehicle.right.box_pixel, scale)),
+            text: text(&vehicle.left),
+        })
+        .collect();
+    let [left, right] = [left, right].map(|image| shrunk(&image, PAIR_IMAGE_WIDTH));
+    Ok(Sample {
+        caption: format!(
+            "left and right image, {}, frame {}",
+            frame.row.split,
+            frame.name()
+        ),
+        picture: annotate_pair(&left, &right, &annotations),
+    })
+}
+
+/// An image at this width.
+fn shrunk(image: &RgbImage, width: u32) -> RgbImage {
+    let height = f64::from(image.height()) * f64::from(width) / f64::from(image.width());
+    let height = (height.round() as u32).max(1);
+    imageops::resize(image, width, height, imageops::FilterType::Triangle)
 }
 
 /// The distance that a frame stands for: its nearest vehicle's that counts.
@@ -96,6 +185,7 @@ fn nearest_m(frame: &Frame, kind: BoxKind) -> Option<f64> {
 
 /// Titles and frames of the rows.
 fn choose(dataset: &StereoDataset, kind: BoxKind) -> Vec<(String, Vec<&Frame>)> {
+    let (_, columns) = grid(dataset);
     let suns_known = dataset.frames.iter().any(|frame| frame.row.sun.is_some());
     let mut groups: BTreeMap<(usize, String), Vec<&Frame>> = BTreeMap::new();
     for frame in &dataset.frames {
@@ -122,7 +212,7 @@ fn choose(dataset: &StereoDataset, kind: BoxKind) -> Vec<(String, Vec<&Frame>)> 
                 let order = distance(a).total_cmp(&distance(b));
                 order.then(a.row.stamp.cmp(&b.row.stamp))
             });
-            let count = frames.len().min(COLUMNS);
+            let count = frames.len().min(columns);
             let last = frames.len() - 1;
             let spread = |i: usize| if count > 1 { i * last / (count - 1) } else { 0 };
             (title, (0..count).map(|i| frames[spread(i)]).collect())
@@ -133,9 +223,9 @@ fn choose(dataset: &StereoDataset, kind: BoxKind) -> Vec<(String, Vec<&Frame>)> 
 fn sample(dataset: &StereoDataset, frame: &Frame, kind: BoxKind) -> Result<Sample> {
     let camera = &dataset.rig().left;
     let image = frame.left.load(camera)?;
-    let scale = f64::from(SAMPLE_WIDTH) / f64::from(camera.width);
-    let height = ((f64::from(camera.height) * scale).round() as u32).max(1);
-    let small = imageops::resize(&image, SAMPLE_WIDTH, height, imageops::FilterType::Triangle);
+    let (width, _) = grid(dataset);
+    let scale = f64::from(width) / f64::from(camera.width);
+    let small = shrunk(&image, width);
     let labels: Vec<&Label> = frame.left.labels_of(kind).collect();
     let annotations: Vec<Annotation> = labels
         .iter()
@@ -168,7 +258,8 @@ fn sample(dataset: &StereoDataset, frame: &Frame, kind: BoxKind) -> Result<Sampl
 
 fn text(label: &Label) -> String {
     match label.distance_m {
-        _ if label.ignored => "ignored".to_owned(),
+        // Its box alone: what is ignored stands in crowds.
+        _ if label.ignored => String::new(),
         Some(distance_m) => format!("{distance_m:.0} m"),
         None => String::new(),
     }

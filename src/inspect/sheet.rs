@@ -2,7 +2,7 @@
 
 use image::{Rgb, RgbImage, imageops};
 
-use super::samples::{COLUMNS, Row, SAMPLE_WIDTH};
+use super::samples::Row;
 use crate::annotate::write_text;
 
 /// Room between samples, pixels.
@@ -16,8 +16,12 @@ const INK: Rgb<u8> = Rgb([30; 3]);
 
 /// All rows below each other, each under its title, every sample above its caption.
 pub(super) fn compose(rows: &[Row]) -> RgbImage {
-    let columns = rows.iter().map(|row| row.samples.len()).max().unwrap_or(1);
-    let columns = columns.clamp(1, COLUMNS) as u32;
+    let samples = || rows.iter().flat_map(|row| &row.samples);
+    let columns = rows.iter().map(|row| row.samples.len()).max().unwrap_or(1) as u32;
+    let sample_width = samples()
+        .map(|sample| sample.picture.width())
+        .max()
+        .unwrap_or(1);
     let heights: Vec<u32> = rows
         .iter()
         .map(|row| {
@@ -28,7 +32,7 @@ pub(super) fn compose(rows: &[Row]) -> RgbImage {
                 .unwrap_or(0)
         })
         .collect();
-    let width = GAP + columns * (SAMPLE_WIDTH + GAP);
+    let width = GAP + columns * (sample_width + GAP);
     let height: u32 = GAP
         + heights
             .iter()
@@ -46,7 +50,7 @@ pub(super) fn compose(rows: &[Row]) -> RgbImage {
         );
         top += LINE;
         for (column, sample) in (0..).zip(&row.samples) {
-            let left = i64::from(GAP + column * (SAMPLE_WIDTH + GAP));
+            let left = i64::from(GAP + column * (sample_width + GAP));
             imageops::replace(&mut sheet, &sample.picture, left, i64::from(top));
             let below = i64::from(top + height) + 5;
             write_text(&mut sheet, [left, below], &sample.caption, 1, INK);

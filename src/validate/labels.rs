@@ -122,15 +122,11 @@ fn box_problem(label: &Label, camera: &Camera) -> Option<String> {
     }
 }
 
-/// How exactly the centre of a label obeys the rig, pixels along a side of this length.
-fn tolerance_px(label: &Label, side: f64) -> f64 {
+/// Whether the centre of a box stands in for the projected centre that nobody knew.
+fn is_stand_in(label: &Label) -> bool {
     let [x, y] = label.box_pixel.center();
     let off = libm::hypot(x - label.center_pixel[0], y - label.center_pixel[1]);
-    if label.kind == BoxKind::Tight && off < 1e-3 {
-        CENTER_PX + BOX_CENTER_PART * side
-    } else {
-        CENTER_PX
-    }
+    label.kind == BoxKind::Tight && off < 1e-3
 }
 
 /// What is wrong with two labels of one vehicle.
@@ -146,8 +142,15 @@ fn pair_problems(rig: &StereoRig, frame: &Frame, left: &Label, right: &Label) ->
     // As if both cameras were the left one.
     let row_px = (rays[0][1] - rays[1][1]).abs() * rig.left.focal_y_px;
     let disparity_px = (rays[0][0] - rays[1][0]) * rig.focal_px();
+    let stand_in = is_stand_in(left) || is_stand_in(right);
+    // The image's border and what hides a vehicle move the centres of boxes.
+    let rows_px = if stand_in {
+        CENTER_PX + BOX_CENTER_PART * left.box_pixel.height()
+    } else {
+        CENTER_PX
+    };
     let mut findings = Vec::new();
-    if row_px > tolerance_px(left, left.box_pixel.height()) {
+    if row_px > rows_px {
         let reason = format!("the centres are {row_px:.1} rows apart");
         findings.push(finding(FindingKind::Rows, reason));
     }
@@ -159,10 +162,19 @@ fn pair_problems(rig: &StereoRig, frame: &Frame, left: &Label, right: &Label) ->
     } else if let Some(distance_m) = left.distance_m {
         let z_m = depth_m(rig, rays[0], distance_m);
         let expected_px = rig.disparity_px(z_m);
-        if (disparity_px - expected_px).abs() > tolerance_px(left, left.box_pixel.width()) {
+        if !stand_in && (disparity_px - expected_px).abs() > CENTER_PX {
             let reason = format!(
                 "the disparity is {disparity_px:.1} px, and {distance_m} m would be \
                  {expected_px:.1} px"
+            );
+            findings.push(finding(FindingKind::Disparity, reason));
+        } else if left.kind == BoxKind::Tight
+            && !rig.boxes_agree(&left.box_pixel, &right.box_pixel, z_m)
+        {
+            let [left_x, right_x] = [left, right].map(|label| label.box_pixel.center()[0]);
+            let reason = format!(
+                "the boxes' centres are at x = {left_x:.1} and {right_x:.1} px, and {distance_m} m \
+                 is a disparity of {expected_px:.1} px"
             );
             findings.push(finding(FindingKind::Disparity, reason));
         }

@@ -52,10 +52,12 @@ fn every_defect_is_found_as_what_it_is() {
             }
         }),
         (Kind::Label, "not a square", |f| {
-            f.write("frames/left_00001.txt", "7 0 10 10 40 30 25 20 - sphere ignored\n7 0 10 10 40 30 25 20 - tight ignored\n8 0 10 10 40 30 25 20 30 sphere 0.3\n");
+            f.write("frames/left_00001.txt", "7 0 10 10 40 30 25 20 - sphere ignored\n7 0 10 10 40 30 25 20 - tight ignored\n8 0 10 10 40 30 25 20 9.2736 sphere 0.3\n");
+            f.write("frames/right_00001.txt", "");
         }),
         (Kind::Label, "has no distance", |f| {
             f.write("frames/left_00001.txt", "7 0 10 10 40 40 25 25 - sphere\n");
+            f.write("frames/right_00001.txt", "");
         }),
         (Kind::Partner, "image alone", |f| {
             f.write("frames/right_00001.txt", "# nothing\n");

@@ -67,7 +67,7 @@ mod tests {
 
     fn picture(shift: u32, noise: u32) -> RgbImage {
         RgbImage::from_fn(320, 180, |x, y| {
-            let wave = (x + shift) * 7 % 128 + (y * y / 64 + x * y / 99) % 127;
+            let wave = (x + shift) * 2 % 128 + (y * y / 64 + x * y / 99) % 127;
             let grain = (x * 31 + y * 17) % (noise + 1);
             Rgb([(wave + grain).min(255) as u8; 3])
         })

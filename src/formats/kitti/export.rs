@@ -1,5 +1,6 @@
 //! KITTI out.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use rayon::prelude::*;
@@ -9,17 +10,23 @@ use super::super::report::ExportReport;
 use super::super::target::{begin_export, interrupted};
 use super::calib;
 use super::objects::{DONT_CARE, Object};
-use crate::dataset::{BoxKind, Frame, Label, Problem, Split, StereoDataset};
+use crate::dataset::{
+    BoxKind, Frame, Label, ObjectRow, Problem, Split, StereoDataset, read_objects_csv,
+};
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::{Cuboid, StereoRig};
 use crate::progress::Progress;
 
+/// Vertical part of a vehicle's heading, in rig axes, up to which the rig counts as level.
+const LEVEL: f64 = 0.02;
+
 /// Writes a dataset as a KITTI object detection folder.
 ///
 /// Everything is put under `training`, because all frames have labels; `ImageSets` lists the splits.
-/// `label_3` holds the boxes in the right images. A label says where a vehicle is and not how large:
-/// its sizes are written as KITTI's unknown, and `location` is then the centre of the box.
+/// `label_3` holds the boxes in the right images. Sizes and headings come from `objects.csv`; where it
+/// is missing, or the rig looks up or down so that KITTI's upright boxes would be wrong, sizes are
+/// written as KITTI's unknown, and `location` is the centre of the box.
 ///
 /// # Errors
 /// A dataset of single images, an occupied folder, a file that cannot be read or written.
@@ -37,6 +44,7 @@ pub fn export(
         ));
     }
     begin_export(dataset, kind, out)?;
+    let objects = objects(dataset)?;
     let training = out.join("training");
     for folder in ["image_2", "image_3", "calib", "label_2", "label_3"] {
         files::create_folder(training.join(folder))?;
@@ -48,7 +56,7 @@ pub fn export(
         .par_iter()
         .map(|frame| {
             interrupted(progress)?;
-            let outcome = write_frame(dataset, frame, kind, &training, &calibration);
+            let outcome = write_frame(dataset, frame, kind, &objects, &training, &calibration);
             progress.advance(1);
             outcome
         })
@@ -79,6 +87,7 @@ fn write_frame(
     dataset: &StereoDataset,
     frame: &Frame,
     kind: BoxKind,
+    objects: &BTreeMap<(u64, u32), ObjectRow>,
     training: &Path,
     calibration: &str,
 ) -> Result<(usize, Vec<Problem>)> {
@@ -98,7 +107,8 @@ fn write_frame(
     for left in frame.left.labels_of(kind) {
         let alike = |label: &&Label| label.kind == kind && label.id == left.id;
         let right = right_labels.iter().find(alike);
-        let object = object(dataset, left);
+        let row = objects.get(&(frame.row.stamp, left.id));
+        let object = object(dataset, left, row);
         texts[0] += &(object.to_line() + "\n");
         boxes += 1;
         // Line by line the same object; one that the right camera does not see leaves a region.
@@ -136,13 +146,24 @@ fn clipped(dataset: &StereoDataset, label: &Label) -> crate::geometry::PixelBox 
         .clipped(f64::from(camera.width), f64::from(camera.height))
 }
 
-fn object(dataset: &StereoDataset, left: &Label) -> Object {
+/// Sizes and headings of vehicles by stamp and id, for rigs that look level.
+fn objects(dataset: &StereoDataset) -> Result<BTreeMap<(u64, u32), ObjectRow>> {
+    let path = dataset.folder.join("objects.csv");
+    if !path.exists() {
+        return Ok(BTreeMap::new());
+    }
+    let rows = read_objects_csv(&path)?.into_iter();
+    let level = rows.filter(|row| row.forward_y.abs() < LEVEL);
+    Ok(level.map(|row| ((row.stamp, row.id), row)).collect())
+}
+
+fn object(dataset: &StereoDataset, left: &Label, row: Option<&ObjectRow>) -> Object {
     let cuboid = center(dataset.rig(), left).map(|center_camera| Cuboid {
         center_camera,
-        length_m: 0.0,
-        width_m: 0.0,
-        height_m: 0.0,
-        yaw_rad: 0.0,
+        length_m: row.map_or(0.0, |row| row.length_m),
+        width_m: row.map_or(0.0, |row| row.width_m),
+        height_m: row.map_or(0.0, |row| row.height_m),
+        yaw_rad: row.map_or(0.0, |row| libm::atan2(-row.forward_z, row.forward_x)),
     });
     let class = dataset.classes().get(left.class as usize);
     let class = class.filter(|_| cuboid.is_some());

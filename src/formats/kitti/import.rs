@@ -248,6 +248,7 @@ fn draft(
 ) -> DraftFrame {
     let mut sides = [Vec::new(), Vec::new()];
     let mut judged: Vec<Cuboid> = Vec::new();
+    let mut rows = Vec::new();
     for (id, (object, right)) in (0..).zip(found.objects.iter().zip(&found.right)) {
         if object.class == DONT_CARE {
             sides[0].extend(region(object, id));
@@ -272,6 +273,9 @@ fn draft(
                 right.as_ref().map(|right| right.box_pixel),
             ],
         };
+        if cuboid.height_m > 0.0 {
+            rows.push(vehicle::object_row(id, &object.class, &cuboid_rig));
+        }
         if !sighting.ignored {
             judged.push(cuboid_rig);
         }
@@ -283,6 +287,7 @@ fn draft(
     let split = splits.get(&found.name).copied();
     let mut frame = DraftFrame::new(found.name, stamp, found.images.to_vec(), sides.to_vec());
     frame.split = split;
+    frame.objects = rows;
     vehicle::describe(&mut frame, &judged);
     frame
 }

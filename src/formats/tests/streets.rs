@@ -99,7 +99,7 @@ fn kitti_becomes_a_sound_dataset_whose_numbers_are_those_of_the_geometry() {
         assert!((disparity - FOCAL * BASELINE / z).abs() < 1e-3);
         // The right box is the left one moved by the disparity of the near face.
         let near = FOCAL * BASELINE / (z - 2.0);
-        let moved = vehicle.left.box_pixel.x_max - vehicle.right.box_pixel.x_max;
+        let moved = vehicle.left.box_pixel.x_min - vehicle.right.box_pixel.x_min;
         assert!((moved - near).abs() < 1e-2, "{moved} {near}");
         // Images are copied as they are.
         let ending =
@@ -111,21 +111,63 @@ fn kitti_becomes_a_sound_dataset_whose_numbers_are_those_of_the_geometry() {
 }
 
 #[test]
-fn boxes_of_label_3_are_taken_where_they_are_given() {
+fn kitti_goes_out_and_comes_back_with_sizes_and_both_kinds_of_box() {
+    let place = Place::new();
+    let options = kitti_folder(&place);
+    kitti::import(&options, &place.target("first"), &Silent).unwrap();
+    let first = place.open("first");
+    kitti::export(&first, BoxKind::Tight, &place.path("again"), &Silent).unwrap();
+    let mut target = place.target("second");
+    target.classes = Some("car".parse().unwrap());
+    let options = kitti::KittiOptions::new(place.path("again"));
+    kitti::import(&options, &target, &Silent).unwrap();
+    let second = place.open("second");
+    assert_eq!(first.info.label_kinds, second.info.label_kinds);
+    let objects =
+        |d: &StereoDataset| crate::dataset::read_objects_csv(d.folder.join("objects.csv")).unwrap();
+    for (a, b) in objects(&first).iter().zip(objects(&second)) {
+        assert_eq!(
+            (a.stamp, a.length_m, a.width_m),
+            (b.stamp, b.length_m, b.width_m)
+        );
+        assert!((a.yaw_deg - b.yaw_deg).abs() < 2e-4 && (a.z_m - b.z_m).abs() < 2e-3);
+    }
+    for (a, b) in first.frames.iter().zip(&second.frames) {
+        for kind in first.info.label_kinds.iter().copied() {
+            let pairs = [a.vehicles(kind), b.vehicles(kind)];
+            assert_eq!(pairs[0].len(), 1);
+            for (a, b) in pairs[0].iter().zip(&pairs[1]) {
+                assert!(a.left.box_pixel.iou(&b.left.box_pixel) > 0.999);
+                assert!(a.right.box_pixel.iou(&b.right.box_pixel) > 0.999);
+                assert!((a.distance_m - b.distance_m).abs() < 1e-3);
+            }
+        }
+    }
+}
+
+#[test]
+fn boxes_of_label_3_are_taken_where_their_disparity_is_possible() {
     let place = Place::new();
     let options = kitti_folder(&place);
     let own = car(-2.0, 12.0);
-    let words: Vec<&str> = own.split(' ').collect();
-    let mut words: Vec<String> = words.into_iter().map(str::to_owned).collect();
-    (words[4], words[6]) = ("100".to_owned(), "150".to_owned());
-    place.write("kitti/training/label_3/000000.txt", &words.join(" "));
-    kitti::import(&options, &place.target("out"), &Silent).unwrap();
-    let frame = &place.open("out").frames[0];
-    let vehicle = &frame.vehicles(BoxKind::Tight)[0];
-    assert_eq!(
-        (vehicle.right.box_pixel.x_min, vehicle.right.box_pixel.x_max),
-        (100.5, 150.5)
-    );
+    let mut words: Vec<String> = own.split(' ').map(str::to_owned).collect();
+    let left: Vec<f64> = [4, 6]
+        .iter()
+        .map(|&i: &usize| words[i].parse().unwrap())
+        .collect();
+    let mut with_shift = |name: &str, shift: f64| {
+        for (i, edge) in [4, 6].into_iter().zip(&left) {
+            words[i] = (edge - shift).to_string();
+        }
+        place.write("kitti/training/label_3/000000.txt", &words.join(" "));
+        kitti::import(&options, &place.target(name), &Silent).unwrap();
+        let frame = place.open(name).frames[0].clone();
+        let vehicle = &frame.vehicles(BoxKind::Tight)[0];
+        vehicle.left.box_pixel.x_min - vehicle.right.box_pixel.x_min
+    };
+    // The disparity of the centre is 16.2 px, that of the near face 19.4 px.
+    assert!((with_shift("given", 18.0) - 18.0).abs() < 1e-3);
+    assert!((with_shift("doubled", 36.0) - 19.44).abs() < 1e-3);
 }
 
 #[test]
