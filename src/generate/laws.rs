@@ -203,6 +203,7 @@ fn settled_frames_follow_the_plan_and_no_scene_is_in_two_splits() {
     let config = GenerateConfig {
         frames: 60,
         frames_per_scene: 10,
+        distance_max_m: 60.0,
         width: 64,
         height: 64,
         samples_per_pixel: 1,
