@@ -35,7 +35,7 @@ Examples:
 
   The paper's square boxes, written elsewhere:
 
-    twinsight inspect datasets/quick --box-kind sphere --out /tmp/look";
+    twinsight inspect datasets/quick --box-kind sphere --out look";
 
 impl InspectArgs {
     /// Writes the sheet and the page.
