@@ -13,12 +13,11 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::dataset::{Frame, StereoDataset, stamp_name};
-use crate::error::{Error, Result};
-use crate::progress::Progress;
+use crate::error::Result;
+use crate::progress::{Progress, in_parallel};
 use thumbnail::Thumbnail;
 
 /// What kind of thing is wrong.
@@ -185,23 +184,13 @@ struct Look {
 }
 
 fn look_at_images(dataset: &StereoDataset, progress: &dyn Progress) -> Result<Vec<Look>> {
-    progress.begin("checking images", dataset.frames.len() as u64);
-    let looks = dataset
-        .frames
-        .par_iter()
-        .map(|frame| {
-            if progress.interrupted() {
-                return Err(Error::Interrupted {
-                    resume: "run the same command again".to_owned(),
-                });
-            }
-            let look = look_at_frame(dataset, frame);
-            progress.advance(1);
-            Ok(look)
-        })
-        .collect();
-    progress.end();
-    looks
+    in_parallel(
+        progress,
+        "checking images",
+        "run the same command again",
+        &dataset.frames,
+        |frame| Ok(look_at_frame(dataset, frame)),
+    )
 }
 
 fn look_at_frame(dataset: &StereoDataset, frame: &Frame) -> Look {

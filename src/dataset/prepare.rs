@@ -5,7 +5,6 @@ use std::fs;
 use std::path::Path;
 
 use image::RgbImage;
-use rayon::prelude::*;
 
 use super::composite::{CompositeSize, composite, geometry_vector};
 use super::composite_set::{CompositeStatistics, SplitCounts, composites_in, is_composite_name};
@@ -15,7 +14,7 @@ use super::{BoxKind, Split};
 use crate::error::{Error, Result};
 use crate::files;
 use crate::imaging::{ChannelStatistics, save_png};
-use crate::progress::Progress;
+use crate::progress::{Progress, in_parallel};
 
 /// What [`prepare`] did.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,28 +51,19 @@ pub fn prepare(
     for split in Split::ALL {
         files::create_folder(folder.join(split.word()))?;
     }
-    progress.begin("composites", dataset.frames.len() as u64);
-    let outcomes = dataset
-        .frames
-        .par_iter()
-        .map(|frame| {
-            if progress.interrupted() {
-                return Err(Error::Interrupted {
-                    resume: "run the same command again to finish the composites".to_owned(),
-                });
-            }
-            let outcome = prepare_frame(dataset, frame, kind, size);
-            progress.advance(1);
-            outcome
-        })
-        .collect::<Result<Vec<FrameOutcome>>>();
-    progress.end();
+    let outcomes = in_parallel(
+        progress,
+        "composites",
+        "run the same command again to finish the composites",
+        &dataset.frames,
+        |frame| prepare_frame(dataset, frame, kind, size),
+    )?;
 
     let mut counts = SplitCounts::default();
     let mut sums = ChannelSums::default();
     let mut problems = Vec::new();
     let mut expected: BTreeSet<(Split, String)> = BTreeSet::new();
-    for (frame, outcome) in dataset.frames.iter().zip(outcomes?) {
+    for (frame, outcome) in dataset.frames.iter().zip(outcomes) {
         let split = frame.row.split;
         *counts.of_mut(split) += outcome.names.len() as u64;
         if split == Split::Train {

@@ -4,8 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use rayon::prelude::*;
-
 use super::classes::ClassMap;
 use super::copy;
 use super::report::ImportReport;
@@ -17,7 +15,7 @@ use crate::dataset::{
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::StereoRig;
-use crate::progress::Progress;
+use crate::progress::{Progress, in_parallel};
 
 /// Holds what is being imported while frames are missing.
 const MARKER: &str = "importing.toml";
@@ -143,25 +141,16 @@ impl Draft {
         self.refuse_empty()?;
         let out = &target.out;
         self.begin(target)?;
-        progress.begin("importing frames", self.frames.len() as u64);
-        let outcomes: Vec<Result<Result<(), String>>> = self
-            .frames
-            .par_iter()
-            .map(|frame| {
-                if progress.interrupted() {
-                    return Err(Error::Interrupted {
-                        resume: "run the same command again".to_owned(),
-                    });
-                }
-                let outcome = self.write_frame(frame, out);
-                progress.advance(1);
-                outcome
-            })
-            .collect();
-        progress.end();
+        let outcomes = in_parallel(
+            progress,
+            "importing frames",
+            "run the same command again",
+            &self.frames,
+            |frame| self.write_frame(frame, out),
+        )?;
         let mut kept = Vec::with_capacity(outcomes.len());
         for (frame, outcome) in std::mem::take(&mut self.frames).into_iter().zip(outcomes) {
-            match outcome? {
+            match outcome {
                 Ok(()) => kept.push(frame),
                 Err(reason) => self.problems.push(Problem {
                     subject: frame.name,

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::dataset::{BoxKind, Frame, Side, StereoDataset};
 use crate::error::{Error, Result};
 use crate::files;
-use crate::progress::Progress;
+use crate::progress::{Progress, in_parallel};
 
 /// Refuses a folder that holds anything, and boxes that the dataset does not have.
 pub(super) fn begin_export(dataset: &StereoDataset, kind: BoxKind, out: &Path) -> Result<()> {
@@ -30,14 +30,19 @@ pub(super) fn begin_export(dataset: &StereoDataset, kind: BoxKind, out: &Path) -
     files::create_folder(out)
 }
 
-/// Stops where the user asked for it.
-pub(super) fn interrupted(progress: &dyn Progress) -> Result<()> {
-    if progress.interrupted() {
-        return Err(Error::Interrupted {
-            resume: "delete the folder and run the same command again".to_owned(),
-        });
-    }
-    Ok(())
+/// Writes every frame of an export; what became of them, in order.
+pub(super) fn write_frames<R: Send>(
+    dataset: &StereoDataset,
+    progress: &dyn Progress,
+    write: impl Fn(&Frame) -> Result<R> + Sync,
+) -> Result<Vec<R>> {
+    in_parallel(
+        progress,
+        "exporting frames",
+        "delete the folder and run the same command again",
+        &dataset.frames,
+        write,
+    )
 }
 
 /// What an exported image is called, without ending: its side and stamp, or the stamp alone where

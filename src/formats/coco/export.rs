@@ -2,11 +2,9 @@
 
 use std::path::Path;
 
-use rayon::prelude::*;
-
 use super::super::copy;
 use super::super::report::ExportReport;
-use super::super::target::{begin_export, image_stem, interrupted};
+use super::super::target::{begin_export, image_stem, write_frames};
 use super::{BoxExtra, CocoAnnotation, CocoCategory, CocoFile, CocoImage, FileExtra, ImageExtra};
 use crate::dataset::{BoxKind, Frame, Label, Split, StereoDataset};
 use crate::error::{Error, Result};
@@ -31,21 +29,17 @@ pub fn export(
         files::create_folder(out.join(folder))?;
     }
     let mut report = ExportReport::default();
-    progress.begin("exporting frames", dataset.frames.len() as u64);
+    let images = write_frames(dataset, progress, |frame| copy_images(dataset, frame, out))?;
     for split in Split::ALL {
-        let frames = dataset.split(*split);
-        if frames.is_empty() {
+        let mut frames = dataset
+            .frames
+            .iter()
+            .zip(&images)
+            .filter(|(frame, _)| frame.row.split == *split)
+            .peekable();
+        if frames.peek().is_none() {
             continue;
         }
-        let images = frames
-            .par_iter()
-            .map(|frame| {
-                interrupted(progress)?;
-                let outcome = copy_images(dataset, frame, out);
-                progress.advance(1);
-                outcome
-            })
-            .collect::<Result<Vec<Vec<String>>>>()?;
         let mut file = CocoFile {
             images: Vec::new(),
             annotations: Vec::new(),
@@ -61,7 +55,7 @@ pub fn export(
                 rig: dataset.info.stereo.then(|| (*dataset.rig()).into()),
             }),
         };
-        for (frame, names) in frames.iter().zip(images) {
+        for (frame, names) in frames {
             add_frame(dataset, frame, names, kind, &mut file);
         }
         report.images += file.images.len();
@@ -73,7 +67,6 @@ pub fn export(
             .map_err(|error| Error::dataset(&path, error.to_string(), "report this as a bug"))?;
         files::write_atomically(&path, text.as_bytes())?;
     }
-    progress.end();
     Ok(report)
 }
 
@@ -90,7 +83,7 @@ fn copy_images(dataset: &StereoDataset, frame: &Frame, out: &Path) -> Result<Vec
 fn add_frame(
     dataset: &StereoDataset,
     frame: &Frame,
-    names: Vec<String>,
+    names: &[String],
     kind: BoxKind,
     file: &mut CocoFile,
 ) {
@@ -100,7 +93,7 @@ fn add_frame(
         let row = frame.row.clone();
         file.images.push(CocoImage {
             id: image_id,
-            file_name,
+            file_name: file_name.clone(),
             width: camera.width,
             height: camera.height,
             twinsight: Some(ImageExtra {

@@ -3,11 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use rayon::prelude::*;
-
 use super::super::copy;
 use super::super::report::ExportReport;
-use super::super::target::{begin_export, interrupted};
+use super::super::target::{begin_export, write_frames};
 use super::calib;
 use super::objects::{DONT_CARE, Object};
 use crate::dataset::{
@@ -50,20 +48,11 @@ pub fn export(
         files::create_folder(training.join(folder))?;
     }
     let calibration = calib::text(dataset.rig());
-    progress.begin("exporting frames", dataset.frames.len() as u64);
-    let outcomes = dataset
-        .frames
-        .par_iter()
-        .map(|frame| {
-            interrupted(progress)?;
-            let outcome = write_frame(dataset, frame, kind, &objects, &training, &calibration);
-            progress.advance(1);
-            outcome
-        })
-        .collect::<Result<Vec<(usize, Vec<Problem>)>>>();
-    progress.end();
+    let outcomes = write_frames(dataset, progress, |frame| {
+        write_frame(dataset, frame, kind, &objects, &training, &calibration)
+    })?;
     let mut report = ExportReport::default();
-    for (boxes, problems) in outcomes? {
+    for (boxes, problems) in outcomes {
         report.images += 2;
         report.boxes += boxes;
         report.left_out.extend(problems);

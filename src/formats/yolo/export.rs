@@ -2,11 +2,9 @@
 
 use std::path::Path;
 
-use rayon::prelude::*;
-
 use super::super::copy;
 use super::super::report::ExportReport;
-use super::super::target::{begin_export, image_stem, interrupted};
+use super::super::target::{begin_export, image_stem, write_frames};
 use super::label::YoloLabel;
 use super::{DataYaml, Extra, Names, Places};
 use crate::dataset::{BoxKind, Frame, Problem, Split, StereoDataset};
@@ -40,20 +38,11 @@ pub fn export(
             files::create_folder(out.join(folder).join(split.word()))?;
         }
     }
-    progress.begin("exporting frames", dataset.frames.len() as u64);
-    let outcomes = dataset
-        .frames
-        .par_iter()
-        .map(|frame| {
-            interrupted(progress)?;
-            let outcome = write_frame(dataset, frame, kind, distance, out);
-            progress.advance(1);
-            outcome
-        })
-        .collect::<Result<Vec<ExportReport>>>();
-    progress.end();
+    let outcomes = write_frames(dataset, progress, |frame| {
+        write_frame(dataset, frame, kind, distance, out)
+    })?;
     let mut report = ExportReport::default();
-    for frame in outcomes? {
+    for frame in outcomes {
         report.images += frame.images;
         report.boxes += frame.boxes;
         report.left_out.extend(frame.left_out);
