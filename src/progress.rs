@@ -17,7 +17,7 @@ pub trait Progress: Send + Sync {
     /// The current phase is over.
     fn end(&self);
     /// The user asked to stop: finish the step at hand, save and return
-    /// [`Error::Interrupted`](crate::Error::Interrupted).
+    /// [`Error::Interrupted`].
     fn interrupted(&self) -> bool {
         false
     }

@@ -144,7 +144,7 @@ pub struct Validation {
 ///
 /// # Errors
 /// A folder that is no dataset or has no usable frame, as [`StereoDataset::open`] says, or
-/// [`Error::Interrupted`].
+/// [`Error::Interrupted`](crate::Error::Interrupted).
 pub fn validate(folder: &Path, progress: &dyn Progress) -> Result<Validation> {
     let dataset = StereoDataset::open(folder)?;
     let mut findings: Vec<Finding> = dataset
