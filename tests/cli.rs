@@ -9,6 +9,8 @@ mod formats;
 mod generate;
 #[path = "cli/pairing.rs"]
 mod pairing;
+#[path = "cli/training.rs"]
+mod training;
 
 use std::fs;
 use std::path::Path;
