@@ -20,15 +20,15 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-pub use config::{GenerateConfig, Outputs, SplitMode, TestProtocol, VehicleCount};
+pub use config::{Assets, GenerateConfig, Outputs, SplitMode, TestProtocol, VehicleCount};
 pub use plan::view_of_azimuth;
 
 use crate::dataset::{Split, read_frames_csv};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::render::{Conditions, Eye, Instances, RenderSettings, Stage, render};
-use crate::world::Scene;
 use crate::world::noise::derive_seed;
+use crate::world::{Scene, Wardrobe};
 use estimate::{Sample, Work, announce};
 use label::{labels, objects};
 use part::Task;
@@ -80,26 +80,50 @@ pub fn generate(
     progress: &dyn Progress,
 ) -> Result<GenerateReport> {
     config.validate()?;
-    run(Task::generate(config, out)?, out, progress)
+    let (config, wardrobe) = config.dressed()?;
+    run(Task::generate(&config, out)?, &wardrobe, out, progress)
 }
 
 /// Adds training and validation frames, with scenes of their own, to a finished dataset of
 /// [`generate`], with the settings that made it. What is there stays as it is, splits included.
 /// Stopped, it goes on when it is called again with the same number.
 ///
+/// `assets` is where the user's assets are now, if not where they were.
+///
 /// # Errors
 /// A folder without a finished dataset of this version of the program, and those of [`generate`].
-pub fn add_frames(frames: u32, out: &Path, progress: &dyn Progress) -> Result<GenerateReport> {
+pub fn add_frames(
+    frames: u32,
+    out: &Path,
+    assets: Option<&Path>,
+    progress: &dyn Progress,
+) -> Result<GenerateReport> {
     let task = Task::extend(out, frames)?;
-    let config = GenerateConfig {
+    let mut config = GenerateConfig {
         frames,
         ..task.history.config.clone()
     };
+    if let Some(folder) = assets {
+        let Some(assets) = &mut config.assets else {
+            return Err(Error::dataset(
+                out,
+                "was made without assets",
+                "leave the folder of assets out, or make another dataset with them",
+            ));
+        };
+        folder.clone_into(&mut assets.folder);
+    }
     config.validate()?;
-    run(task, out, progress)
+    let (_, wardrobe) = config.dressed()?;
+    run(task, &wardrobe, out, progress)
 }
 
-fn run(task: Task, out: &Path, progress: &dyn Progress) -> Result<GenerateReport> {
+fn run(
+    task: Task,
+    wardrobe: &Wardrobe,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<GenerateReport> {
     let target = Target::open(task, out)?;
     let task = target.task();
     let scenes = plan_scenes(&task.history.config, &task.part);
@@ -108,11 +132,11 @@ fn run(task: Task, out: &Path, progress: &dyn Progress) -> Result<GenerateReport
         .clone()
         .filter(|frame| target.has_frame(frame.stamp))
         .count();
-    measure(&target, &scenes, progress)?;
+    measure(&target, wardrobe, &scenes, progress)?;
     progress.begin("rendering frames", stamps.count() as u64);
     let done: Result<Vec<Vec<FrameRecord>>> = scenes
         .par_iter()
-        .map(|scene| generate_scene(scene, &target, progress))
+        .map(|scene| generate_scene(scene, wardrobe, &target, progress))
         .collect();
     progress.end();
     let mut done: Vec<FrameRecord> = done?.into_iter().flatten().collect();
@@ -130,7 +154,12 @@ fn run(task: Task, out: &Path, progress: &dyn Progress) -> Result<GenerateReport
 }
 
 /// Renders the first frame that is missing and says what the others will cost.
-fn measure(target: &Target, scenes: &[SceneDraft], progress: &dyn Progress) -> Result<()> {
+fn measure(
+    target: &Target,
+    wardrobe: &Wardrobe,
+    scenes: &[SceneDraft],
+    progress: &dyn Progress,
+) -> Result<()> {
     let missing = |frame: &&FrameDraft| !target.has_frame(frame.stamp);
     let Some((scene, frame)) = scenes
         .iter()
@@ -139,7 +168,7 @@ fn measure(target: &Target, scenes: &[SceneDraft], progress: &dyn Progress) -> R
         return Ok(());
     };
     let begun = Instant::now();
-    let stage = stage_of(&target.task().history.config, scene);
+    let stage = stage_of(&target.task().history.config, wardrobe, scene);
     let staged = Instant::now();
     make_frame(frame, &stage, target)?;
     let sample = Sample {
@@ -165,13 +194,14 @@ fn measure(target: &Target, scenes: &[SceneDraft], progress: &dyn Progress) -> R
 /// Renders what is missing of one scene.
 fn generate_scene(
     scene: &SceneDraft,
+    wardrobe: &Wardrobe,
     target: &Target,
     progress: &dyn Progress,
 ) -> Result<Vec<FrameRecord>> {
     if progress.interrupted() {
         return Err(interrupted());
     }
-    let stage = stage_of(&target.task().history.config, scene);
+    let stage = stage_of(&target.task().history.config, wardrobe, scene);
     scene
         .frames
         .par_iter()
@@ -186,7 +216,7 @@ fn generate_scene(
         .collect()
 }
 
-fn stage_of(config: &GenerateConfig, scene: &SceneDraft) -> Stage {
+fn stage_of(config: &GenerateConfig, wardrobe: &Wardrobe, scene: &SceneDraft) -> Stage {
     let reach_m = scene
         .frames
         .iter()
@@ -198,7 +228,7 @@ fn stage_of(config: &GenerateConfig, scene: &SceneDraft) -> Stage {
         reach_m,
         vehicles_of_scene(config, scene.number),
         (TRAFFIC_PART * config.distance_max_m).clamp(TRAFFIC_M[0], TRAFFIC_M[1]),
-        config.appearance.wardrobe(),
+        wardrobe,
     ))
 }
 

@@ -1,7 +1,8 @@
 //! What kind of dataset to make.
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::StereoRig;
 use crate::render::Appearance;
-use crate::world::Sun;
+use crate::world::{AssetLibrary, Sun, Wardrobe};
 
 /// How frames are divided between training and validation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,8 +71,52 @@ pub struct GenerateConfig {
     pub outputs: Outputs,
     /// Weather, camera, sensor, bodies and paints.
     pub appearance: Appearance,
+    /// The user's own vehicles and props.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub assets: Option<Assets>,
     /// A grid of test views in scenes of their own.
     pub test: Option<TestProtocol>,
+}
+
+/// Where the user's own vehicles and props are.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Assets {
+    /// Folder with `vehicles/` and `props/`, as [`AssetLibrary`] reads it.
+    pub folder: PathBuf,
+    /// Metres of pavement for each prop, where there is room.
+    #[serde(default = "Assets::usual_spacing_m")]
+    pub prop_spacing_m: f64,
+    /// What [`AssetLibrary::digest`] has to be; filled in when a dataset is made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub digest: Option<String>,
+}
+
+impl Assets {
+    /// The assets of a folder.
+    pub fn of(folder: PathBuf) -> Self {
+        Self {
+            folder,
+            prop_spacing_m: Self::usual_spacing_m(),
+            digest: None,
+        }
+    }
+
+    const fn usual_spacing_m() -> f64 {
+        15.0
+    }
+
+    fn library(&self) -> Result<AssetLibrary> {
+        let library = AssetLibrary::read(&self.folder)?;
+        match &self.digest {
+            Some(digest) if digest != library.digest() => Err(Error::asset(
+                &self.folder,
+                "is not as it was when the dataset was made",
+                "bring its files back, or make another dataset without the digest in the settings",
+            )),
+            _ => Ok(library),
+        }
+    }
 }
 
 /// How many vehicles a scene has: a number, or a range from which every scene draws.
@@ -223,6 +268,7 @@ impl Default for GenerateConfig {
             split: SplitMode::Scene,
             outputs: Outputs::default(),
             appearance: Appearance::default(),
+            assets: None,
             test: None,
         }
     }
@@ -329,6 +375,18 @@ impl GenerateConfig {
         self.vehicles.validate()?;
         in_range("val_fraction", self.val_fraction, 0.0, 0.9)?;
         self.appearance.validate()?;
+        if let Some(assets) = &self.assets {
+            in_range("assets.prop_spacing_m", assets.prop_spacing_m, 1.0, 1e4)?;
+            if assets.folder.to_str().is_none() {
+                return Err(Error::value(
+                    format!("assets.folder = {}", assets.folder.display()),
+                    "its name is not Unicode",
+                    "rename the folder",
+                ));
+            }
+        } else {
+            self.appearance.wardrobe(None)?;
+        }
         let root = self.samples_per_pixel.isqrt();
         if root * root != self.samples_per_pixel {
             return Err(Error::value(
@@ -366,6 +424,25 @@ impl GenerateConfig {
             }
         }
         Ok(())
+    }
+
+    /// Reads the user's assets, and returns the settings with their digest beside the bodies and
+    /// paints that scenes may draw from.
+    ///
+    /// # Errors
+    /// Assets that cannot be used or that are not those of the digest, and a body that there is not.
+    pub(super) fn dressed(&self) -> Result<(Self, Wardrobe)> {
+        let mut config = self.clone();
+        let own = match &mut config.assets {
+            Some(assets) => {
+                let library = assets.library()?;
+                assets.digest = Some(library.digest().to_owned());
+                Some((Arc::new(library), assets.prop_spacing_m))
+            }
+            None => None,
+        };
+        let wardrobe = self.appearance.wardrobe(own)?;
+        Ok((config, wardrobe))
     }
 
     /// The rig that takes the frames.
