@@ -132,14 +132,11 @@ fn run(
         .clone()
         .filter(|frame| target.has_frame(frame.stamp))
         .count();
-    measure(&target, wardrobe, &scenes, progress)?;
+    let first = measure(&target, wardrobe, &scenes, progress)?;
     progress.begin("rendering frames", stamps.count() as u64);
-    let done: Result<Vec<Vec<FrameRecord>>> = scenes
-        .par_iter()
-        .map(|scene| generate_scene(scene, wardrobe, &target, progress))
-        .collect();
+    let done = generate_scenes(&scenes, first, wardrobe, &target, progress);
     progress.end();
-    let mut done: Vec<FrameRecord> = done?.into_iter().flatten().collect();
+    let mut done = done?;
     done.sort_by_key(|record| record.row.stamp);
     target.finish(&done)?;
     let (rows, _) = read_frames_csv(out.join("frames.csv"))?;
@@ -153,19 +150,21 @@ fn run(
     })
 }
 
-/// Renders the first frame that is missing and says what the others will cost.
+/// Renders the first frame that is missing and says what the others will cost. Returns the first
+/// scene, ready for the other frames, where the frame was of that one.
 fn measure(
     target: &Target,
     wardrobe: &Wardrobe,
     scenes: &[SceneDraft],
     progress: &dyn Progress,
-) -> Result<()> {
+) -> Result<Option<Stage>> {
     let missing = |frame: &&FrameDraft| !target.has_frame(frame.stamp);
-    let Some((scene, frame)) = scenes
+    let Some((index, scene, frame)) = scenes
         .iter()
-        .find_map(|scene| Some((scene, scene.frames.iter().find(missing)?)))
+        .enumerate()
+        .find_map(|(index, scene)| Some((index, scene, scene.frames.iter().find(missing)?)))
     else {
-        return Ok(());
+        return Ok(None);
     };
     let begun = Instant::now();
     let stage = stage_of(&target.task().history.config, wardrobe, scene);
@@ -188,32 +187,65 @@ fn measure(
     if work.frames > 0 {
         progress.note(&announce(sample, work, target)?);
     }
-    Ok(())
+    Ok((index == 0).then_some(stage))
+}
+
+/// Renders what is missing of all scenes.
+///
+/// One scene after the other: the threads share its frames, their two images and the rows of those,
+/// and prepare the next scene meanwhile. So few frames keep many threads busy, and memory holds two
+/// scenes however many threads there are.
+fn generate_scenes(
+    scenes: &[SceneDraft],
+    first: Option<Stage>,
+    wardrobe: &Wardrobe,
+    target: &Target,
+    progress: &dyn Progress,
+) -> Result<Vec<FrameRecord>> {
+    let config = &target.task().history.config;
+    let prepare = |scene: Option<&SceneDraft>| scene.map(|scene| stage_of(config, wardrobe, scene));
+    let mut done = Vec::new();
+    let mut stage = first.or_else(|| prepare(scenes.first()));
+    for (index, scene) in scenes.iter().enumerate() {
+        let (records, next) = rayon::join(
+            || match &stage {
+                Some(stage) => generate_scene(scene, stage, target, progress),
+                None => Ok(Vec::new()),
+            },
+            || prepare(scenes.get(index + 1)),
+        );
+        done.extend(records?);
+        stage = next;
+    }
+    Ok(done)
 }
 
 /// Renders what is missing of one scene.
 fn generate_scene(
     scene: &SceneDraft,
-    wardrobe: &Wardrobe,
+    stage: &Stage,
     target: &Target,
     progress: &dyn Progress,
 ) -> Result<Vec<FrameRecord>> {
-    if progress.interrupted() {
-        return Err(interrupted());
+    // A frame has two images, and a thread that waits for one of its rows may begin another frame:
+    // fewer frames at once than threads keep memory small.
+    let at_once = (rayon::current_num_threads() / 2).max(1);
+    let mut records = Vec::with_capacity(scene.frames.len());
+    for drafts in scene.frames.chunks(at_once) {
+        let some: Result<Vec<FrameRecord>> = drafts
+            .par_iter()
+            .map(|draft| {
+                if progress.interrupted() {
+                    return Err(interrupted());
+                }
+                let record = make_frame(draft, stage, target);
+                progress.advance(1);
+                record
+            })
+            .collect();
+        records.extend(some?);
     }
-    let stage = stage_of(&target.task().history.config, wardrobe, scene);
-    scene
-        .frames
-        .par_iter()
-        .map(|draft| {
-            if progress.interrupted() {
-                return Err(interrupted());
-            }
-            let record = make_frame(draft, &stage, target);
-            progress.advance(1);
-            record
-        })
-        .collect()
+    Ok(records)
 }
 
 fn stage_of(config: &GenerateConfig, wardrobe: &Wardrobe, scene: &SceneDraft) -> Stage {
@@ -267,24 +299,25 @@ fn write_frame(
 ) -> Result<()> {
     let settings = RenderSettings {
         samples_per_pixel: config.samples_per_pixel,
-        noise_counts: config.noise_counts,
+        noise_counts: config.noise_counts.drawn(capture.noise_seed),
         noise_seed: capture.noise_seed,
         conditions: Conditions::draw(&config.appearance, capture.sun, capture.noise_seed),
     };
     let rig = target.rig();
-    for eye in Eye::BOTH {
+    Eye::BOTH.into_par_iter().try_for_each(|eye| {
         let image = render(stage, rig, &capture.pose, eye, &settings);
         let Instances { silhouettes, map } = Instances::measure(stage, rig, &capture.pose, eye);
         let labels = labels(config, stage, rig, capture, eye, &silhouettes);
         write_maps(config.outputs, stage, capture, eye, &map, target)?;
-        target.write_view(capture.row.stamp, eye, &image, &labels)?;
-    }
-    Ok(())
+        target.write_view(capture.row.stamp, eye, &image, &labels)
+    })
 }
 
 #[cfg(test)]
 mod growth;
 #[cfg(test)]
 mod laws;
+#[cfg(test)]
+mod own;
 #[cfg(test)]
 mod tests;

@@ -10,7 +10,7 @@ use crate::dataset::View;
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::StereoRig;
-use crate::render::Appearance;
+use crate::render::{Appearance, Range};
 use crate::world::{AssetLibrary, Sun, Wardrobe};
 
 /// How frames are divided between training and validation.
@@ -54,8 +54,9 @@ pub struct GenerateConfig {
     pub suns: Vec<Sun>,
     /// Samples a pixel at edges, a square number; 1 switches anti-aliasing off.
     pub samples_per_pixel: u32,
-    /// Standard deviation of the sensor's noise on white, 8-bit counts; 0 switches it off.
-    pub noise_counts: f32,
+    /// Standard deviation of the sensor's noise on white, 8-bit counts, as a number or as a range
+    /// from which every frame draws; 0 switches it off.
+    pub noise_counts: Range,
     /// Least part of the target that either camera must see; other views are drawn again.
     pub min_visible: f64,
     /// A vehicle of which an image shows less than this part is ignored in it.
@@ -111,7 +112,7 @@ impl Assets {
         match &self.digest {
             Some(digest) if digest != library.digest() => Err(Error::asset(
                 &self.folder,
-                "is not as it was when the dataset was made",
+                "holds other assets than when the dataset was made",
                 "bring its files back, or make another dataset without the digest in the settings",
             )),
             _ => Ok(library),
@@ -260,7 +261,7 @@ impl Default for GenerateConfig {
             distance_max_m: 40.0,
             suns: Sun::ALL.to_vec(),
             samples_per_pixel: 4,
-            noise_counts: 1.5,
+            noise_counts: Range::Fixed(1.5),
             min_visible: 0.55,
             ignore_below_visible: 0.5,
             ignore_below_px: 8.0,
@@ -368,7 +369,7 @@ impl GenerateConfig {
             1.0,
             64.0,
         )?;
-        in_range("noise_counts", f64::from(self.noise_counts), 0.0, 50.0)?;
+        self.noise_counts.validate("noise_counts", [0.0, 50.0])?;
         in_range("min_visible", self.min_visible, 0.0, 0.9)?;
         in_range("ignore_below_visible", self.ignore_below_visible, 0.0, 1.0)?;
         in_range("ignore_below_px", self.ignore_below_px, 0.0, 1000.0)?;
@@ -585,6 +586,29 @@ mod tests {
                 .unwrap_err()
                 .to_string();
             assert!(message.contains("vehicles"), "{message}");
+        }
+    }
+
+    #[test]
+    fn noise_is_a_number_or_a_range_and_every_frame_draws_from_it() {
+        let parse = |text: &str| GenerateConfig::parse(&format!("noise_counts = {text}"), "a");
+        for (text, ends) in [
+            ("2", [2.0, 2.0]),
+            ("1.5", [1.5, 1.5]),
+            ("[0.5, 3.0]", [0.5, 3.0]),
+        ] {
+            let noise = parse(text).unwrap().noise_counts;
+            let drawn: Vec<f32> = (0..50).map(|seed| noise.drawn(seed)).collect();
+            assert!(
+                drawn.iter().all(|v| (ends[0]..=ends[1]).contains(v)),
+                "{drawn:?}"
+            );
+            let differ = drawn.iter().any(|v| *v != drawn[0]);
+            assert_eq!(differ, ends[0] < ends[1]);
+        }
+        for text in ["-1", "[3, 1]", "nan", "51"] {
+            let message = parse(text).unwrap_err().to_string();
+            assert!(message.contains("noise_counts"), "{message}");
         }
     }
 

@@ -13,6 +13,8 @@ use crate::world::noise::derive_seed;
 use crate::world::{Air, AssetLibrary, BodyStyle, OwnAssets, Paint, Sun, SunPlace, Wardrobe};
 
 const CONDITIONS_STREAM: u64 = 6;
+/// Keeps single ranges apart from the conditions.
+const RANGE_STREAM: u64 = 9;
 
 /// One number, or the lowest and the highest of a range.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -30,6 +32,28 @@ impl Range {
             Self::Fixed(value) => [value, value],
             Self::Between(ends) => ends,
         }
+    }
+
+    /// The number of a frame.
+    pub(crate) fn drawn(self, seed: u64) -> f32 {
+        self.draw(&mut Pcg64::seed_from_u64(derive_seed(
+            seed,
+            RANGE_STREAM,
+            0,
+        )))
+    }
+
+    /// Checks that it is a range, and inside of another one.
+    pub(crate) fn validate(self, name: &str, [low, high]: [f64; 2]) -> Result<()> {
+        let [first, last] = self.ends();
+        if low <= first && first <= last && last <= high {
+            return Ok(());
+        }
+        Err(Error::value(
+            format!("{name} = {first} to {last}"),
+            "out of range",
+            format!("give a number or [lowest, highest] between {low} and {high}"),
+        ))
     }
 
     fn draw(self, rng: &mut impl Rng) -> f32 {
@@ -187,7 +211,7 @@ impl Appearance {
             }
         }
         let share = |value| Range::Fixed(value);
-        for (name, range, [low, high]) in [
+        for (name, range, limits) in [
             ("overcast", share(self.overcast), [0.0, 1.0]),
             ("wet", share(self.wet), [0.0, 1.0]),
             ("clouds", self.clouds, [0.0, 1.0]),
@@ -202,14 +226,7 @@ impl Appearance {
             ("jpeg", share(self.jpeg), [0.0, 1.0]),
             ("jpeg_quality", self.jpeg_quality, [10.0, 100.0]),
         ] {
-            let [first, last] = range.ends();
-            if !(low <= first && first <= last && last <= high) {
-                return Err(Error::value(
-                    format!("appearance.{name} = {first} to {last}"),
-                    "out of range",
-                    format!("give a number or [lowest, highest] between {low} and {high}"),
-                ));
-            }
+            range.validate(&format!("appearance.{name}"), limits)?;
         }
         Ok(())
     }

@@ -10,6 +10,7 @@
 //! targets) stands still in the pose of its nodes.
 
 mod accessor;
+mod corners;
 #[cfg(test)]
 pub(crate) mod fixture;
 mod manifest;

@@ -275,6 +275,10 @@ impl Vehicle {
         rng: &mut impl Rng,
     ) -> Self {
         let paints = &wardrobe.paints;
+        // Drawn for every body, so that one of the user's leaves the city as it is.
+        let [length, width, height] = [(); 3].map(|()| rng.random_range(0.95..1.05_f32));
+        let shade = rng.random_range(0.85..1.15_f32);
+        let seed = rng.random();
         let style = match wardrobe.body(number) {
             Body::BuiltIn(style) => style,
             Body::Own(asset) => {
@@ -283,7 +287,6 @@ impl Vehicle {
             }
         };
         let mut shape = Shape::of(style);
-        let [length, width, height] = [(); 3].map(|()| rng.random_range(0.95..1.05_f32));
         shape.length *= length;
         shape.wheelbase *= length;
         shape.width *= width;
@@ -292,7 +295,6 @@ impl Vehicle {
         // keeps style and paint from pairing up.
         let place = number as usize;
         let paint = paints[(place + place / wardrobe.count() + 3) % paints.len()];
-        let shade = rng.random_range(0.85..1.15_f32);
         let [color, flakes] = paint
             .colors()
             .map(|c| (Vec3A::from_array(c) * shade).min(Vec3A::splat(0.80)));
@@ -302,7 +304,7 @@ impl Vehicle {
             finish: paint,
             paint: color,
             flakes,
-            seed: rng.random(),
+            seed,
         }));
         Self::place(kind, &mesh.triangles, at, heading)
     }

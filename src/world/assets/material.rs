@@ -1,7 +1,6 @@
 //! What the surfaces of models are made of.
 
 use glam::Vec3A;
-use gltf::Document;
 use gltf::material::AlphaMode;
 use gltf::texture::WrappingMode;
 use sha2::Sha256;
@@ -87,8 +86,8 @@ impl Materials {
             keys: Vec::new(),
             textures: Vec::new(),
         };
-        let document: &Document = &source.gltf.document;
-        let mut all = document
+        let mut all = source
+            .document
             .materials()
             .map(|material| pictures.material(&material))
             .collect::<Result<Vec<_>>>()?;

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use glam::{Mat3A, Mat4, Vec3A};
 use gltf::mesh::Mode;
-use gltf::{Node, Primitive, Semantic};
+use gltf::{Node, Primitive};
 use sha2::Sha256;
 
-use super::accessor::{indices, numbers};
+use super::corners::Corners;
 use super::manifest::Entry;
 use super::material::{Coat, Materials, Place};
 use super::source::Source;
@@ -61,7 +61,7 @@ impl Model {
             triangles: Vec::new(),
             skins: Vec::new(),
         };
-        let document = &source.gltf.document;
+        let document = &source.document;
         let scene = document
             .default_scene()
             .or_else(|| document.scenes().next());
@@ -183,62 +183,21 @@ impl Reader<'_> {
             return Ok(());
         }
         let source = self.source;
-        let buffers = &source.buffers;
-        let damaged = |problem| source.damaged(problem);
-        let Some(accessor) = primitive.get(&Semantic::Positions) else {
+        let Some(corners) = Corners::read(primitive, source)? else {
             return Ok(());
         };
-        let corners: Vec<[f32; 3]> = numbers(&accessor, buffers, "positions").map_err(damaged)?;
-        let optional = |semantic: Semantic| primitive.get(&semantic);
-        let normals: Option<Vec<[f32; 3]>> = optional(Semantic::Normals)
-            .map(|a| numbers(&a, buffers, "normals").map_err(damaged))
-            .transpose()?;
-        let colors: Option<Vec<[f32; 3]>> = optional(Semantic::Colors(0))
-            .map(|a| numbers(&a, buffers, "colours").map_err(damaged))
-            .transpose()?;
-        let mut sets: [Option<Vec<[f32; 2]>>; 2] = [None, None];
-        for (number, set) in (0..).zip(&mut sets) {
-            *set = optional(Semantic::TexCoords(number))
-                .map(|a| numbers(&a, buffers, "texture coordinates").map_err(damaged))
-                .transpose()?;
-        }
-        let order: Vec<u32> = match primitive.indices() {
-            Some(accessor) => indices(&accessor, buffers).map_err(damaged)?,
-            None => (0..corners.len() as u32).collect(),
-        };
-        let count = corners.len();
-        let counts = [
-            normals.as_ref().map(Vec::len),
-            colors.as_ref().map(Vec::len),
-        ];
-        let sets_count = sets.iter().map(|set| set.as_ref().map(Vec::len));
-        if counts
-            .into_iter()
-            .chain(sets_count)
-            .flatten()
-            .any(|n| n < count)
-        {
-            return Err(damaged(
-                "has fewer normals, colours or texture coordinates than corners".to_owned(),
-            ));
-        }
-        if order.iter().any(|&index| index as usize >= count) {
-            return Err(damaged(
-                "an index names a corner that does not exist".to_owned(),
-            ));
-        }
         let linear = Mat3A::from_mat4(world);
         // Normals turn with the inverse transpose, up to a factor that normalising removes.
         let [x, y, z] = [linear.x_axis, linear.y_axis, linear.z_axis];
         let upright = Mat3A::from_cols(y.cross(z), z.cross(x), x.cross(y));
         self.faces += 1;
-        for triangle in fan_out(mode, order.len()) {
-            let [a, b, c] = triangle.map(|place| order[place] as usize);
+        for triangle in fan_out(mode, corners.order.len()) {
+            let [a, b, c] = triangle.map(|place| corners.order[place] as usize);
             let vertices =
-                [a, b, c].map(|i| world.transform_point3a(Vec3A::from_array(corners[i])));
+                [a, b, c].map(|i| world.transform_point3a(Vec3A::from_array(corners.positions[i])));
             let flat = (vertices[1] - vertices[0]).cross(vertices[2] - vertices[0]);
             if !vertices.iter().all(|v| v.is_finite()) {
-                return Err(damaged("a corner's place is not finite".to_owned()));
+                return Err(source.damaged("a corner's place is not finite"));
             }
             if flat.length_squared() <= 0.0 {
                 continue;
@@ -250,7 +209,7 @@ impl Reader<'_> {
                 ));
             }
             let flat = flat.normalize_or(Vec3A::Z);
-            let normals = [a, b, c].map(|i| match &normals {
+            let normals = [a, b, c].map(|i| match &corners.normals {
                 Some(normals) => (upright * Vec3A::from_array(normals[i])).normalize_or(flat),
                 None => flat,
             });
@@ -266,14 +225,8 @@ impl Reader<'_> {
                     .material()
                     .index()
                     .unwrap_or(self.materials.plain()),
-                uv: [a, b, c].map(|i| {
-                    std::array::from_fn(|set| sets[set].as_ref().map_or([0.0; 2], |uv| uv[i]))
-                }),
-                color: [a, b, c].map(|i| {
-                    colors
-                        .as_ref()
-                        .map_or(Vec3A::ONE, |all| Vec3A::from_array(all[i]))
-                }),
+                uv: [a, b, c].map(|i| corners.uv(i)),
+                color: [a, b, c].map(|i| corners.color(i)),
                 density: [0.0; 2],
             });
         }

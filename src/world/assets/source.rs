@@ -5,7 +5,7 @@ use std::path::{Component, Path, PathBuf};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use gltf::Gltf;
+use gltf::{Document, Gltf};
 use image::RgbaImage;
 use sha2::{Digest as _, Sha256};
 
@@ -20,7 +20,7 @@ const EXPORT_AGAIN: &str = "export the model again as one .glb file";
 /// A glTF file with its buffers.
 pub(super) struct Source {
     path: PathBuf,
-    pub gltf: Gltf,
+    pub document: Document,
     pub buffers: Vec<Vec<u8>>,
 }
 
@@ -37,11 +37,20 @@ impl Source {
         {
             return Err(Error::asset(path, "is cut off or damaged", EXPORT_AGAIN));
         }
-        let mut gltf = Gltf::from_slice(&bytes).map_err(|error| unreadable(path, &error))?;
-        let blob = gltf.blob.take();
+        let Gltf { document, blob } = Gltf::from_slice_without_validation(&bytes)
+            .map_err(|error| unreadable(path, &error))?;
+        let json = document.into_json();
+        // gltf-json 1.4 looks these up before it checks that they are there, and panics.
+        let mut primitives = json.meshes.iter().flat_map(|mesh| &mesh.primitives);
+        let exists = |index: usize| index < json.accessors.len();
+        if !primitives.all(|primitive| primitive.attributes.values().all(|i| exists(i.value()))) {
+            let problem = "a mesh refers to numbers that do not exist";
+            return Err(Error::asset(path, problem, EXPORT_AGAIN));
+        }
+        let document = Document::from_json(json).map_err(|error| unreadable(path, &error))?;
         let mut source = Self {
             path: path.to_owned(),
-            gltf,
+            document,
             buffers: Vec::new(),
         };
         source.buffers = source.read_buffers(blob, digest)?;
@@ -60,7 +69,7 @@ impl Source {
 
     fn read_buffers(&self, blob: Option<Vec<u8>>, digest: &mut Sha256) -> Result<Vec<Vec<u8>>> {
         let mut blob = blob;
-        self.gltf
+        self.document
             .buffers()
             .map(|buffer| {
                 let bytes = match buffer.source() {
@@ -83,11 +92,11 @@ impl Source {
 
     /// A picture by its index in the file.
     pub fn picture(&self, index: usize, digest: &mut Sha256) -> Result<RgbaImage> {
-        let json = &self.gltf.document.as_json().images[index];
+        let json = &self.document.as_json().images[index];
         let bytes = match (&json.uri, json.buffer_view) {
             (Some(uri), _) => self.read_uri(uri, digest)?,
             (None, Some(view)) => {
-                let view = self.gltf.views().nth(view.value());
+                let view = self.document.views().nth(view.value());
                 let bytes = view.and_then(|view| {
                     let end = view.offset().checked_add(view.length())?;
                     let buffer = self.buffers.get(view.buffer().index())?;

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use base64::Engine as _;
 use glam::Vec3A;
 use image::{Rgba, RgbaImage};
 use serde_json::json;
@@ -155,7 +156,6 @@ fn external_buffers_are_found_beside_the_file_and_nowhere_else() {
     write("parts/my%20car.bin");
     let by_file = library(folder.path());
     assert_size(&by_file.vehicles()[0].model, CAR);
-    use base64::Engine as _;
     let text = base64::engine::general_purpose::STANDARD.encode(&bin);
     write(&format!("data:application/octet-stream;base64,{text}"));
     assert_size(&library(folder.path()).vehicles()[0].model, CAR);
@@ -216,49 +216,49 @@ fn files_that_cannot_be_used_are_refused_with_a_remedy() {
     type Change = fn(&mut serde_json::Value, &mut Vec<u8>);
     let cases: [(&str, Change); 14] = [
         ("no triangles", |json, _| {
-            json["meshes"][0]["primitives"] = json!([{"attributes": {"POSITION": 0}, "mode": 0}])
+            json["meshes"][0]["primitives"] = json!([{"attributes": {"POSITION": 0}, "mode": 0}]);
         }),
         ("no triangles", |json, _| {
-            json["scenes"][0]["nodes"] = json!([])
+            json["scenes"][0]["nodes"] = json!([]);
         }),
         ("has no scene", |json, _| {
             json.as_object_mut().unwrap().remove("scenes");
             json.as_object_mut().unwrap().remove("scene");
         }),
         ("not finite", |_, bin| {
-            bin[..4].copy_from_slice(&f32::NAN.to_le_bytes())
+            bin[..4].copy_from_slice(&f32::NAN.to_le_bytes());
         }),
-        ("not finite", |json, _| {
-            json["nodes"][0]["scale"] = json!([1e38, 1e38, 1e38])
-        }),
-        ("beyond their buffer", |json, _| {
-            json["accessors"][0]["count"] = json!(4_000_000_000_u32)
+        ("has no size", |json, _| {
+            json["nodes"][0]["scale"] = json!([1e38, 1e38, 1e38]);
         }),
         ("beyond their buffer", |json, _| {
-            json["accessors"][0]["byteOffset"] = json!(u64::MAX)
+            json["accessors"][0]["count"] = json!(4_000_000_000_u32);
+        }),
+        ("beyond their buffer", |json, _| {
+            json["accessors"][0]["byteOffset"] = json!(u64::MAX);
         }),
         ("no vectors of 3", |json, _| {
-            json["accessors"][0]["type"] = json!("VEC2")
+            json["accessors"][0]["type"] = json!("VEC2");
         }),
         ("index names a corner", |_, bin| {
             let last = bin.len() - 2;
             bin[last..].fill(0xff);
         }),
         ("without end", |json, _| {
-            json["nodes"][0]["children"] = json!([0, 0])
+            json["nodes"][0]["children"] = json!([0, 0]);
         }),
         ("extension", |json, _| {
-            json["extensionsRequired"] = json!(["KHR_draco_mesh_compression"])
+            json["extensionsRequired"] = json!(["KHR_draco_mesh_compression"]);
         }),
         ("more than 100000", |json, _| {
             let primitive = json["meshes"][0]["primitives"][0].clone();
             json["meshes"][0]["primitives"] = json!(vec![primitive; 8400]);
         }),
         ("no vehicle's size: 440.00 m", |json, _| {
-            json["nodes"][0]["scale"] = json!([100.0, 100.0, 100.0])
+            json["nodes"][0]["scale"] = json!([100.0, 100.0, 100.0]);
         }),
         ("wider than long", |json, _| {
-            json["nodes"][0]["scale"] = json!([2.0, 1.0, 0.5])
+            json["nodes"][0]["scale"] = json!([2.0, 1.0, 0.5]);
         }),
     ];
     for (words, change) in cases {
