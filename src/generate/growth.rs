@@ -167,7 +167,7 @@ fn a_disk_that_is_too_small_is_refused_with_both_sizes() {
         threads: 2,
     };
     let words = announce(sample(1000), work, &target).unwrap();
-    assert!(words.contains("about 2 minutes on 2 threads"), "{words}");
+    assert!(words.contains("about 3 minutes on 2 threads"), "{words}");
     let message = announce(sample(1 << 55), work, &target)
         .unwrap_err()
         .to_string();
