@@ -233,7 +233,7 @@ impl StereoRanger {
                 boxes: [pair.left.box_pixel, pair.right],
             })
             .collect();
-        let distances_m = self.estimator.estimate(&sightings)?;
+        let distances_m = self.estimator.estimate(&sightings, &rig)?;
         let classes = &self.detector.header().classes;
         let mut vehicles: Vec<Vehicle> = pairs
             .into_iter()

@@ -224,7 +224,7 @@ fn evaluate_frame(
         .collect();
     for (estimated_m, label) in ranger
         .estimator()
-        .estimate(&sightings)?
+        .estimate(&sightings, dataset.rig())?
         .into_iter()
         .zip(&labels)
     {

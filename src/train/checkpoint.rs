@@ -1,5 +1,6 @@
 //! Saving and resuming a stage of training.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use burn::module::Module;
@@ -9,6 +10,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::files;
+
+/// What resuming needs beside the state itself.
+const RESUME_FILES: [&str; 3] = ["model.bpk", "average.bpk", "optimizer.bpk"];
 
 /// How far a stage is.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -21,6 +25,9 @@ pub struct StageState {
     pub ema_updates: u64,
     /// Best validation result so far and its epoch.
     pub best: Option<(f64, u32)>,
+    /// Length and check sum of the files beside this one.
+    #[serde(default)]
+    pub files: BTreeMap<String, String>,
     /// The settings of the stage as JSON text, to notice that they changed. Text, because numbers
     /// that are parsed and compared again may differ in their last bit.
     pub settings: String,
@@ -48,6 +55,30 @@ impl StageFolder {
     /// Weights of the last epoch.
     pub fn last(&self) -> PathBuf {
         self.folder.join("last.safetensors")
+    }
+
+    /// Weights of one of the last epochs, where they are kept.
+    pub fn of_epoch(&self, epoch: u32) -> PathBuf {
+        self.folder.join(format!("epoch-{epoch:04}.safetensors"))
+    }
+
+    /// Removes the kept weights of epochs before this one.
+    ///
+    /// # Errors
+    /// A file that cannot be removed.
+    pub fn drop_epochs_before(&self, first: u32) -> Result<()> {
+        let entries = std::fs::read_dir(&self.folder).map_err(Error::io("read", &self.folder))?;
+        for entry in entries {
+            let path = entry.map_err(Error::io("read", &self.folder))?.path();
+            let epoch = path
+                .file_name()
+                .and_then(|name| name.to_str()?.strip_prefix("epoch-"))
+                .and_then(|name| name.strip_suffix(".safetensors")?.parse::<u32>().ok());
+            if epoch.is_some_and(|epoch| epoch < first) {
+                std::fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+            }
+        }
+        Ok(())
     }
 
     /// Creates the folder.
@@ -95,7 +126,15 @@ impl StageFolder {
         }
         let path = fresh.join("optimizer.bpk");
         optimizer.save(&path).map_err(broken(&path))?;
-        let json = serde_json::to_vec_pretty(state).map_err(|source| {
+        let mut state = state.clone();
+        for name in RESUME_FILES {
+            let path = fresh.join(name);
+            if path.exists() {
+                let mark = files::content_mark(&path)?;
+                state.files.insert(name.to_owned(), mark);
+            }
+        }
+        let json = serde_json::to_vec_pretty(&state).map_err(|source| {
             Error::training(
                 format!("cannot encode the state: {source}"),
                 "report this as a defect",
@@ -136,6 +175,16 @@ impl StageFolder {
                 format!("{} belongs to a run with other settings", path.display()),
                 "resume with the settings of the run's config.json, or train into another --run",
             ));
+        }
+        for (name, mark) in &state.files {
+            let path = current.join(name);
+            if !path.exists() || files::content_mark(&path)? != *mark {
+                return Err(Error::weights(
+                    path,
+                    "is missing or damaged: it is not what training saved",
+                    "restore it from a copy, or delete the `resume` folder to start the stage afresh",
+                ));
+            }
         }
         Ok(Some(state))
     }

@@ -6,21 +6,22 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor, TensorData};
-use image::RgbImage;
+use image::{Rgb, RgbImage};
 use rand::RngExt as _;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
 use super::augment::mirror_composite;
-use super::config::{DistanceTraining, TrainConfig};
-use super::log::EpochRow;
+use super::config::{DistanceMerit, DistanceTraining, TrainConfig};
+use super::log::{EpochRow, RunLog};
 use super::normalize::normalize_layers;
-use super::optimizer::{initialize, scalar};
+use super::optimizer::{freeze, initialize, scalar};
 use super::readout::fit_readout;
 use super::stage::{PassLoss, Recipe, Steering};
+use crate::annotate::write_text;
 use crate::dataset::{
-    CompositeStatistics, Frame, Split, StereoDataset, StereoLabel, composite_into_planes,
-    geometry_vector, is_prepared, prepare,
+    CompositeSize, CompositeStatistics, Frame, Split, StereoDataset, StereoLabel,
+    composite_into_planes, geometry_vector, is_prepared, prepare,
 };
 use crate::error::{Error, Result};
 use crate::geometry::{PixelBox, StereoRig};
@@ -31,6 +32,8 @@ use crate::ranging::{
     DistanceEstimator, RangingConfig, RangingHeader, RangingNetwork, ranging_loss,
 };
 
+/// Validation composites in TensorBoard, at most.
+const SHOWN: usize = 8;
 /// Composites on which the first weights are normalised, at most.
 const NORMALIZED: usize = 32;
 
@@ -89,6 +92,12 @@ impl DistanceRecipe {
                 .collect()
         };
         let train = vehicles(Split::Train);
+        let device_plain = device.clone().without_autodiff();
+        let given = settings
+            .weights
+            .as_ref()
+            .map(|path| DistanceEstimator::read(path, &device_plain))
+            .transpose()?;
         let statistics = CompositeStatistics::read(&dataset.folder)?.train;
         let Some(normalization) = statistics.filter(|_| !train.is_empty()) else {
             return Err(Error::dataset(
@@ -97,6 +106,8 @@ impl DistanceRecipe {
                 "give a dataset with training frames",
             ));
         };
+        // Given weights go on with the numbers that they were trained with.
+        let normalization = given.map_or(normalization, |(_, header)| header.normalization);
         Ok(Self {
             seed: config.seed,
             device: device.clone().autodiff(),
@@ -108,6 +119,7 @@ impl DistanceRecipe {
                 network: RangingHeader::NETWORK.to_owned(),
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 composite: settings.composite,
+                readout: settings.readout,
                 normalization,
                 box_kind: config.box_kind,
                 classes: dataset.classes().to_vec(),
@@ -124,10 +136,15 @@ impl DistanceRecipe {
     pub fn model(&self, progress: &dyn Progress) -> Result<RangingNetwork> {
         self.device.seed(self.seed);
         let device = self.device.clone().without_autodiff();
+        let freeze_named = |network| freeze(network, "distance.freeze", &self.settings.freeze);
+        if let Some(path) = &self.settings.weights {
+            let network = self.given_weights(path, &device)?;
+            return freeze_named(network.train());
+        }
         let network = RangingConfig::for_size(self.settings.composite).init(&device)?;
         initialize(&network);
         if !self.settings.fit_start {
-            return Ok(network.train());
+            return freeze_named(network.train());
         }
         progress.begin("distance, first weights", self.train.len() as u64);
         // Evenly over the data: neighbours show the same scene.
@@ -138,8 +155,12 @@ impl DistanceRecipe {
             .composites;
         let network = normalize_layers(network, composites);
         let mut rows = Vec::new();
+        let mut outputs = Vec::with_capacity(self.train.len());
         for vehicles in self.train.chunks(self.settings.micro_batch) {
-            let batch = self.batch(self.composites(vehicles, None)?, &device);
+            let loaded = self.composites(vehicles, None)?;
+            let wanted = loaded.distances_m.iter().zip(&loaded.distance_per_output);
+            outputs.extend(wanted.map(|(distance, per)| f64::from(*distance) / f64::from(*per)));
+            let batch = self.batch(loaded, &device);
             let features = network.features(batch.composites).fc2;
             let inputs = Tensor::cat(vec![features, batch.geometry], 1);
             let [_, width] = inputs.dims();
@@ -150,12 +171,31 @@ impl DistanceRecipe {
             progress.advance(vehicles.len() as u64);
         }
         progress.end();
-        let distances_m: Vec<f64> = self
-            .train
-            .iter()
-            .map(|vehicle| vehicle.label.distance_m)
-            .collect();
-        Ok(fit_readout(network, &rows, &distances_m).train())
+        freeze_named(fit_readout(network, &rows, &outputs).train())
+    }
+
+    /// The network to go on from; it must see the same composites and mean the same by its output.
+    fn given_weights(&self, path: &Path, device: &Device) -> Result<RangingNetwork> {
+        let (network, header) = DistanceEstimator::read(path, device)?;
+        let (given, wanted) = (&header, &self.header);
+        let refuse = |what: &str, given: String, setting: String| {
+            Err(Error::weights(
+                path,
+                format!("was trained with {what} {given}"),
+                format!("train with {setting}, or start from other weights"),
+            ))
+        };
+        if given.composite != wanted.composite {
+            let size = given.composite.to_string();
+            let setting = format!("--composite {size}");
+            return refuse("composites of", size, setting);
+        }
+        if given.readout != wanted.readout {
+            let readout = format!("{:?}", given.readout).to_lowercase();
+            let setting = format!("distance.readout = \"{readout}\"");
+            return refuse("the readout", readout, setting);
+        }
+        Ok(network)
     }
 
     /// The numbers that steer the stage.
@@ -174,6 +214,8 @@ impl DistanceRecipe {
             average: (settings.ema_decay > 0.0)
                 .then_some((settings.ema_decay, settings.ema_ramp)),
             validate_every: settings.validate_every,
+            patience: settings.patience,
+            keep_last: settings.keep_last,
             settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }).to_string(),
         }
     }
@@ -213,12 +255,21 @@ impl DistanceRecipe {
                     self.change(planes, random);
                 }
                 let (width, height) = images[0].dimensions();
-                Ok(geometry_vector(left, right, width, height))
+                let per_output = self
+                    .settings
+                    .readout
+                    .distance_per_output([left, right], &self.rig);
+                Ok((
+                    geometry_vector(left, right, width, height),
+                    per_output as f32,
+                ))
             })
-            .collect::<Result<Vec<[f32; 2]>>>()?;
+            .collect::<Result<Vec<([f32; 2], f32)>>>()?;
+        let (geometry, distance_per_output) = geometry.into_iter().unzip();
         Ok(LoadedComposites {
             planes,
             geometry,
+            distance_per_output,
             distances_m: vehicles
                 .iter()
                 .map(|vehicle| vehicle.label.distance_m as f32)
@@ -232,10 +283,30 @@ impl DistanceRecipe {
         let count = loaded.distances_m.len();
         let shape = [count, 3, size.height as usize, size.width as usize];
         let geometry = TensorData::new(loaded.geometry.concat(), [count, 2]);
+        let column =
+            |values: Vec<f32>| Tensor::from_data(TensorData::new(values, [count, 1]), device);
         Batch {
             composites: Tensor::from_data(TensorData::new(loaded.planes, shape), device),
             geometry: Tensor::from_data(geometry, device),
-            distances_m: Tensor::from_data(TensorData::new(loaded.distances_m, [count, 1]), device),
+            distance_per_output: column(loaded.distance_per_output),
+            distances_m: column(loaded.distances_m),
+        }
+    }
+
+    /// Draws normalised planes as a picture, its left edge at a column.
+    fn draw_composite(&self, planes: &[f32], left: u32, picture: &mut RgbImage) {
+        let CompositeSize { height, width } = self.settings.composite;
+        let ChannelStatistics { mean, std } = self.header.normalization;
+        for y in 0..height {
+            for x in 0..width {
+                let pixel = (y * width + x) as usize;
+                let color = std::array::from_fn(|channel| {
+                    let value = planes[channel * (height * width) as usize + pixel];
+                    let value = f64::from(value) * std[channel] + mean[channel];
+                    (value * 255.0).round().clamp(0.0, 255.0) as u8
+                });
+                picture.put_pixel(left + x, y, Rgb(color));
+            }
         }
     }
 
@@ -276,17 +347,28 @@ impl DistanceRecipe {
     }
 }
 
-/// Composites `[batch, 3, height, width]`, geometry `[batch, 2]`, distances `[batch, 1]`.
+/// Composites `[batch, 3, height, width]`, geometry `[batch, 2]`; metres of distance per unit of the
+/// network's output and true distances, `[batch, 1]`.
 struct Batch {
     composites: Tensor<4>,
     geometry: Tensor<2>,
+    distance_per_output: Tensor<2>,
     distances_m: Tensor<2>,
 }
 
-/// Composites, geometry vectors and distances before they go to a device.
+impl Batch {
+    /// The network's distances, metres, `[batch, 1]`.
+    fn predict(&self, network: &RangingNetwork) -> Tensor<2> {
+        let output = network.forward(self.composites.clone(), self.geometry.clone());
+        output * self.distance_per_output.clone()
+    }
+}
+
+/// What a [`Batch`] holds before it goes to a device.
 pub struct LoadedComposites {
     planes: Vec<f32>,
     geometry: Vec<[f32; 2]>,
+    distance_per_output: Vec<f32>,
     distances_m: Vec<f32>,
 }
 
@@ -315,8 +397,7 @@ impl Recipe for DistanceRecipe {
         share: f64,
     ) -> Result<PassLoss> {
         let batch = self.batch(batch, &self.device);
-        let predicted = model.forward(batch.composites, batch.geometry);
-        let loss = ranging_loss(predicted, batch.distances_m).total;
+        let loss = ranging_loss(batch.predict(model), batch.distances_m).total;
         let reported = scalar(&loss)?;
         Ok(PassLoss {
             total: loss.mul_scalar(share),
@@ -332,7 +413,7 @@ impl Recipe for DistanceRecipe {
         let mut errors = DistanceErrors::new();
         for vehicles in self.val.chunks(self.settings.micro_batch) {
             let batch = self.batch(self.composites(vehicles, None)?, &device);
-            let predicted = model.forward(batch.composites, batch.geometry);
+            let predicted = batch.predict(model);
             let values = predicted
                 .try_into_vec_as::<f64>()
                 .map_err(|source| Error::training(source.to_string(), "try another device"))?;
@@ -346,7 +427,43 @@ impl Recipe for DistanceRecipe {
         row.mae_m = Some(summary.mae_m);
         row.rmse_m = Some(summary.rmse_m);
         row.mre_percent = Some(summary.mre_percent);
-        Ok(Some(-summary.mre_percent))
+        Ok(Some(-match self.settings.best_by {
+            DistanceMerit::Mre => summary.mre_percent,
+            DistanceMerit::Mae => summary.mae_m,
+            DistanceMerit::Rmse => summary.rmse_m,
+        }))
+    }
+
+    fn show(&self, model: &RangingNetwork, log: &mut RunLog, step: u64) -> Result<()> {
+        let stride = self.val.len().div_ceil(SHOWN).max(1);
+        let some: Vec<Vehicle> = self.val.iter().step_by(stride).cloned().collect();
+        if some.is_empty() {
+            return Ok(());
+        }
+        let loaded = self.composites(&some, None)?;
+        let CompositeSize { height, width } = self.settings.composite;
+        let mut picture = RgbImage::new(width * some.len() as u32, height);
+        for (column, planes) in (0..).zip(loaded.planes.chunks(3 * (height * width) as usize)) {
+            self.draw_composite(planes, column * width, &mut picture);
+        }
+        let device = self.device.clone().without_autodiff();
+        let batch = self.batch(loaded, &device);
+        let estimated = batch
+            .predict(model)
+            .try_into_vec_as::<f64>()
+            .map_err(|source| Error::training(source.to_string(), "try another device"))?;
+        for ((column, vehicle), estimated_m) in (0..).zip(&some).zip(estimated) {
+            let lines = [
+                format!("is {:.1} m", vehicle.label.distance_m),
+                format!("est {estimated_m:.1} m"),
+            ];
+            for (line, text) in (0..).zip(lines) {
+                let corner = [i64::from(column * width) + 4, 4 + 12 * line];
+                write_text(&mut picture, corner, &text, 1, Rgb([255, 255, 0]));
+            }
+        }
+        log.add_picture(Self::STAGE, "validation/composites", step, &picture);
+        Ok(())
     }
 
     fn describe(&self, row: &EpochRow) -> String {

@@ -5,14 +5,20 @@ mod checkpoint;
 mod config;
 mod detector;
 mod distance;
+mod learner;
 mod log;
 mod normalize;
 pub mod optimizer;
+mod plan;
 mod readout;
 mod run;
 mod stage;
 
 pub use checkpoint::{StageFolder, StageState};
-pub use config::{DetectorTraining, DistanceTraining, Schedule, TrainConfig};
+pub use config::{
+    DetectorMerit, DetectorTraining, DistanceMerit, DistanceTraining, OptimizerKind, Schedule,
+    TrainConfig,
+};
 pub use log::{EpochRow, RunLog};
+pub use plan::{StagePlan, TrainPlan, plan};
 pub use run::{Stage, TrainRequest, TrainSummary, saved_config, train};
