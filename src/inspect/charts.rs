@@ -122,7 +122,14 @@ fn draw(
         .label_style(style.clone())
         .axis_desc_style(style)
         .x_label_formatter(&|value| format!("{}", (value * 1e3).round() / 1e3))
-        .y_label_formatter(&|value| format!("{value:.0}"))
+        // Counts are whole; a short axis has steps between them.
+        .y_label_formatter(&|value| {
+            if value.fract() == 0.0 {
+                format!("{value:.0}")
+            } else {
+                String::new()
+            }
+        })
         .draw()?;
     // The bars of a bin stand beside each other in the middle nine tenths.
     let width = 0.9 * step / counted.len() as f64;
