@@ -1,10 +1,28 @@
 //! Burn's gradient of a convolution's weights, a few images or rows at a time.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
 use burn::tensor::Slice;
 
 use super::extension::ConvGeometry;
+
+/// Set by [`limit_sums`].
+static LONGEST_SUM: AtomicUsize = AtomicUsize::new(usize::MAX);
+
+/// From now on, lets Burn's gradients of weights add up at most so many products in one go.
+///
+/// Mesa's software adapter ends a shader's loops after 65,535 rounds in all, without a word, and
+/// what it returns then is wrong by up to 90 %. Bands of 16,384 outputs come out right there.
+pub(crate) fn limit_sums(longest: usize) {
+    LONGEST_SUM.fetch_min(longest.max(1), Ordering::Relaxed);
+}
+
+/// Most products that are added up in one go.
+pub(super) fn longest_sum() -> usize {
+    LONGEST_SUM.load(Ordering::Relaxed)
+}
 
 /// The gradient of a convolution's weights as a sum over images, and over bands of rows where one
 /// image alone has more than `longest` outputs. Input and gradient are `[batch, channels, height,

@@ -24,7 +24,7 @@
 
 mod avx512;
 #[cfg(target_arch = "x86_64")]
-mod bands;
+pub(crate) mod bands;
 pub mod chain;
 pub mod conv;
 pub mod depthwise;

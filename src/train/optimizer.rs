@@ -202,7 +202,8 @@ impl AveragedWeights {
         self.updates += 1;
         let decay = ema_decay(self.longest, self.ramp, self.updates);
         for (average, value) in self.values.iter_mut().zip(flat_values(module)) {
-            *average = average.clone().mul_scalar(decay) + value.mul_scalar(1.0 - decay);
+            // In this form the average of what never changes stays what it is, to the bit.
+            *average = average.clone() + (value - average.clone()).mul_scalar(1.0 - decay);
         }
     }
 

@@ -145,7 +145,6 @@ pub(super) fn open_dataset(
     request: &TrainRequest,
     progress: &dyn Progress,
 ) -> Result<(StereoDataset, Device)> {
-    request.device.check_training()?;
     let device = request.device.open()?;
     request.config.validate()?;
     let mut dataset = StereoDataset::open(request.data)?;
