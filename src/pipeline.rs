@@ -75,10 +75,26 @@ pub struct StageTimes {
 
 /// A vehicle before its distance is known.
 #[derive(Debug, Clone, Copy)]
-struct Pair {
-    left: Detection,
-    right: PixelBox,
-    score: f32,
+pub(crate) struct Pair {
+    /// Its detection in the left image.
+    pub left: Detection,
+    /// Its box in the right image, pixels.
+    pub right: PixelBox,
+    /// As [`Vehicle::score`].
+    pub score: f32,
+}
+
+impl Pair {
+    /// The vehicle, now that its distance is known.
+    pub fn at(&self, distance_m: f64, classes: &[String]) -> Vehicle {
+        Vehicle {
+            left: self.left.box_pixel,
+            right: self.right,
+            score: self.score,
+            class: classes.get(self.left.class).cloned().unwrap_or_default(),
+            distance_m,
+        }
+    }
 }
 
 /// Finds vehicles in a stereo pair and says how far they are.
@@ -221,8 +237,7 @@ impl StereoRanger {
         let detect = started.elapsed();
 
         let started = Instant::now();
-        let rig = self.rig_for(left.dimensions())?;
-        let pairs = self.pairs([left, right], found, &rig);
+        let pairs = self.pairs([left, right], found)?;
         let paired = started.elapsed();
 
         let started = Instant::now();
@@ -238,13 +253,7 @@ impl StereoRanger {
         let mut vehicles: Vec<Vehicle> = pairs
             .into_iter()
             .zip(distances_m)
-            .map(|(pair, distance_m)| Vehicle {
-                left: pair.left.box_pixel,
-                right: pair.right,
-                score: pair.score,
-                class: classes.get(pair.left.class).cloned().unwrap_or_default(),
-                distance_m,
-            })
+            .map(|(pair, distance_m)| pair.at(distance_m, classes))
             .collect();
         vehicles.sort_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
         Ok((
@@ -259,16 +268,19 @@ impl StereoRanger {
 
     /// The right box of each left detection that has one, given what the detector found in the
     /// images that it ran on.
-    fn pairs(
+    ///
+    /// # Errors
+    /// Images of an impossible size.
+    pub(crate) fn pairs(
         &self,
         images: [&RgbImage; 2],
         found: Vec<Vec<Detection>>,
-        rig: &StereoRig,
-    ) -> Vec<Pair> {
+    ) -> Result<Vec<Pair>> {
+        let rig = &self.rig_for(images[0].dimensions())?;
         let mut found = found.into_iter();
         let left = found.next().unwrap_or_default();
         let config = &self.options.pairing;
-        match self.options.pairing_mode {
+        Ok(match self.options.pairing_mode {
             PairingMode::Detect => {
                 let right = found.next().unwrap_or_default();
                 let pairs = pair(&left, &right, rig, config).pairs;
@@ -288,7 +300,7 @@ impl StereoRanger {
                     score: left[partner.left].score,
                 })
                 .collect(),
-        }
+        })
     }
 
     /// The trained rig at another resolution of the same field of view.

@@ -6,6 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::bootstrap::{Interval, Resamples};
 use super::coco::{self, CocoSummary};
 use super::curves::{CONFIDENCE_STEPS, DetectionCurves, EPSILON, RunningCounts};
 use super::matching::{AT_50, AT_75, IOU_THRESHOLDS, true_positives};
@@ -250,6 +251,53 @@ impl DetectionMetrics {
             per_class,
             curves,
         }
+    }
+
+    /// Bounds of mAP50 and of mAP50-95 by drawing the images anew in groups, see [`Resamples`];
+    /// `group_of_image` has the group of each image in the order of adding. The detections' ranking
+    /// is made once: a draw only changes how often each image counts.
+    pub fn map_intervals(
+        &self,
+        resamples: &Resamples,
+        group_of_image: &[usize],
+    ) -> Option<[Interval; 2]> {
+        let flags = self.true_positives();
+        let mut ranked: Vec<(f32, usize, usize, [bool; 10])> = self
+            .images
+            .iter()
+            .zip(group_of_image)
+            .flat_map(|((detections, _), &group)| detections.iter().map(move |d| (d, group)))
+            .zip(flags)
+            .map(|((detection, group), flags)| (detection.score, detection.class, group, flags))
+            .collect();
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut targets = vec![vec![0; resamples.groups()]; self.classes];
+        for ((_, of_image), &group) in self.images.iter().zip(group_of_image) {
+            for target in of_image {
+                targets[target.class][group] += 1;
+            }
+        }
+        resamples.intervals(|counts| {
+            let mut sums = [0.0; 2];
+            let mut judged = 0.0;
+            for (class, targets) in targets.iter().enumerate() {
+                let drawn: usize = targets.iter().zip(counts).map(|(n, &k)| n * k).sum();
+                if drawn == 0 {
+                    continue;
+                }
+                judged += 1.0;
+                let of_class: Vec<_> = ranked.iter().filter(|d| d.1 == class).collect();
+                let precision: [f64; 10] = std::array::from_fn(|t| {
+                    let flags = of_class
+                        .iter()
+                        .flat_map(|d| std::iter::repeat_n(d.3[t], counts[d.2]));
+                    RunningCounts::new(flags, drawn).average_precision()
+                });
+                sums[0] += precision[AT_50];
+                sums[1] += precision.iter().sum::<f64>() / precision.len() as f64;
+            }
+            (judged > 0.0).then(|| sums.map(|sum| sum / judged))
+        })
     }
 
     /// The figures of the COCO evaluation, with at most `max_detections` per image and class
