@@ -237,7 +237,8 @@ impl StereoRanger {
         let detect = started.elapsed();
 
         let started = Instant::now();
-        let pairs = self.pairs([left, right], found)?;
+        let rig = self.rig_for(left.dimensions())?;
+        let pairs = self.pairs([left, right], found, &rig);
         let paired = started.elapsed();
 
         let started = Instant::now();
@@ -248,7 +249,7 @@ impl StereoRanger {
                 boxes: [pair.left.box_pixel, pair.right],
             })
             .collect();
-        let distances_m = self.estimator.estimate(&sightings)?;
+        let distances_m = self.estimator.estimate(&sightings, &rig)?;
         let classes = &self.detector.header().classes;
         let mut vehicles: Vec<Vehicle> = pairs
             .into_iter()
@@ -268,19 +269,16 @@ impl StereoRanger {
 
     /// The right box of each left detection that has one, given what the detector found in the
     /// images that it ran on.
-    ///
-    /// # Errors
-    /// Images of an impossible size.
     pub(crate) fn pairs(
         &self,
         images: [&RgbImage; 2],
         found: Vec<Vec<Detection>>,
-    ) -> Result<Vec<Pair>> {
-        let rig = &self.rig_for(images[0].dimensions())?;
+        rig: &StereoRig,
+    ) -> Vec<Pair> {
         let mut found = found.into_iter();
         let left = found.next().unwrap_or_default();
         let config = &self.options.pairing;
-        Ok(match self.options.pairing_mode {
+        match self.options.pairing_mode {
             PairingMode::Detect => {
                 let right = found.next().unwrap_or_default();
                 let pairs = pair(&left, &right, rig, config).pairs;
@@ -300,11 +298,11 @@ impl StereoRanger {
                     score: left[partner.left].score,
                 })
                 .collect(),
-        })
+        }
     }
 
     /// The trained rig at another resolution of the same field of view.
-    fn rig_for(&self, (width, height): (u32, u32)) -> Result<StereoRig> {
+    pub(crate) fn rig_for(&self, (width, height): (u32, u32)) -> Result<StereoRig> {
         let rig = *self.rig();
         if (rig.left.width, rig.left.height) == (width, height) {
             return Ok(rig);

@@ -74,7 +74,9 @@ pub fn growth(device: &Device) -> Result<Numbers> {
         Ok(())
     };
     let range = || -> Result<()> {
-        case.networks().estimator.estimate(&[case.sighting()])?;
+        case.networks()
+            .estimator
+            .estimate(&[case.sighting()], &case.networks().rig)?;
         Ok(())
     };
     let works: [(&str, &dyn Fn() -> Result<()>); 2] = [("detector", &detect), ("distance", &range)];

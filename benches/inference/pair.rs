@@ -18,7 +18,7 @@ use twinsight::geometry::{PixelBox, StereoRig};
 use twinsight::imaging::{ChannelStatistics, load_pair, load_rgb, save_png};
 use twinsight::pairing::search::search;
 use twinsight::pairing::{PairingConfig, PairingMode, pair};
-use twinsight::ranging::{DistanceEstimator, RangingHeader, Sighting};
+use twinsight::ranging::{DistanceEstimator, RangingHeader, Readout, Sighting};
 use twinsight::{Error, Result};
 
 use super::Bench;
@@ -45,7 +45,7 @@ const PART: Effort = Effort {
 pub struct Networks {
     pub detector: VehicleDetector,
     pub estimator: DistanceEstimator,
-    rig: StereoRig,
+    pub rig: StereoRig,
 }
 
 impl Networks {
@@ -74,6 +74,7 @@ impl Networks {
                     network: RangingHeader::NETWORK.to_owned(),
                     version,
                     composite: CompositeSize::FULL,
+                    readout: Readout::Distance,
                     normalization: ChannelStatistics::IDENTITY,
                     box_kind: BoxKind::Sphere,
                     classes,
@@ -118,7 +119,7 @@ impl Networks {
                 boxes: [left.box_pixel, right.box_pixel],
             })
             .collect();
-        black_box(self.estimator.estimate(&sightings)?);
+        black_box(self.estimator.estimate(&sightings, &self.rig)?);
         Ok(())
     }
 }
@@ -167,7 +168,7 @@ impl PairInMemory {
         } = &self.networks;
         let found = detector.detect(&[&self.left, &self.right], &NmsConfig::prediction())?;
         black_box(pair(&found[0], &found[1], rig, &PairingConfig::default()));
-        black_box(estimator.estimate(&[self.sighting()])?);
+        black_box(estimator.estimate(&[self.sighting()], rig)?);
         Ok(())
     }
 }

@@ -17,6 +17,7 @@ use crate::detector::nms::NmsConfig;
 use crate::detector::{Detection, LetterboxedCandidates};
 use crate::error::{Error, Result};
 use crate::generate::view_of_azimuth;
+use crate::geometry::{PixelBox, StereoRig};
 use crate::metrics::{Confusion, DetectionMetrics, Target, is_covered};
 use crate::pipeline::{StereoRanger, Vehicle};
 use crate::progress::Progress;
@@ -241,51 +242,58 @@ impl<'a> Judge<'a> {
     }
 
     /// Estimates the distances of labelled and of detected vehicles, all frames at once, and
-    /// matches them.
+    /// matches them. Detected ones go the pipeline's way, with the rig that it knows.
     fn range(&self, seen: &[Seen], judged: &mut Judged) -> Result<()> {
-        let paired = seen
+        let rig = self.dataset.rig();
+        let own_rig = self.ranger.rig_for((rig.left.width, rig.left.height))?;
+        let paired: Vec<Paired> = seen
             .par_iter()
-            .map(|seen| {
-                Ok(Paired {
-                    labels: seen.frame.vehicles(self.kind),
-                    pairs: self.ranger.pairs(pair_of(seen), seen.found.clone())?,
-                })
-            })
-            .collect::<Result<Vec<Paired>>>()?;
-        let sightings: Vec<Sighting> = seen
-            .iter()
-            .zip(&paired)
-            .flat_map(|(seen, paired)| {
-                let images = pair_of(seen);
-                let labels = paired.labels.iter();
-                let labelled = labels.map(|label| [label.left.box_pixel, label.right.box_pixel]);
-                let detected = paired
-                    .pairs
-                    .iter()
-                    .map(|pair| [pair.left.box_pixel, pair.right]);
-                let boxes = labelled.chain(detected);
-                boxes.map(move |boxes| Sighting { images, boxes })
+            .map(|seen| Paired {
+                labels: seen.frame.vehicles(self.kind),
+                pairs: self
+                    .ranger
+                    .pairs(pair_of(seen), seen.found.clone(), &own_rig),
             })
             .collect();
-        let network_m = self.ranger.estimator().estimate(&sightings)?;
-        let mut estimates: Vec<Estimates> = sightings
-            .par_iter()
-            .map(|sighting| {
-                let rig = self.dataset.rig();
-                self.baselines
-                    .map_or([None; 5], |baselines| baselines.estimates(sighting, rig))
-            })
-            .collect();
-        for (estimates, network_m) in estimates.iter_mut().zip(network_m) {
-            estimates[0] = Some(network_m);
-        }
-        let mut estimates = estimates.into_iter();
-        for (seen, paired) in seen.iter().zip(paired) {
-            let of_labels: Vec<_> = estimates.by_ref().take(paired.labels.len()).collect();
-            let of_pairs: Vec<_> = estimates.by_ref().take(paired.pairs.len()).collect();
-            self.match_frame(seen.frame, &paired, &of_labels, of_pairs, judged);
+        let frames = || seen.iter().zip(&paired);
+        let labelled = frames().flat_map(|(seen, paired)| {
+            let boxes = paired
+                .labels
+                .iter()
+                .map(|l| [l.left.box_pixel, l.right.box_pixel]);
+            sightings(seen, boxes)
+        });
+        let detected = frames().flat_map(|(seen, paired)| {
+            let boxes = paired.pairs.iter().map(|p| [p.left.box_pixel, p.right]);
+            sightings(seen, boxes)
+        });
+        let mut of_labels = self
+            .estimates(&labelled.collect::<Vec<_>>(), rig)?
+            .into_iter();
+        let mut of_pairs = self
+            .estimates(&detected.collect::<Vec<_>>(), &own_rig)?
+            .into_iter();
+        for (seen, paired) in frames() {
+            let of_labels: Vec<_> = of_labels.by_ref().take(paired.labels.len()).collect();
+            let of_pairs: Vec<_> = of_pairs.by_ref().take(paired.pairs.len()).collect();
+            self.match_frame(seen.frame, paired, &of_labels, of_pairs, judged);
         }
         Ok(())
+    }
+
+    /// What the network, which is given this rig, and the baselines say.
+    fn estimates(&self, sightings: &[Sighting], rig: &StereoRig) -> Result<Vec<Estimates>> {
+        let network_m = self.ranger.estimator().estimate(sightings, rig)?;
+        let estimates = sightings.par_iter().zip(network_m);
+        Ok(estimates
+            .map(|(sighting, network_m)| {
+                let mut estimates = self.baselines.map_or([None; 5], |baselines| {
+                    baselines.estimates(sighting, self.dataset.rig())
+                });
+                estimates[0] = Some(network_m);
+                estimates
+            })
+            .collect())
     }
 
     fn match_frame(
@@ -375,6 +383,15 @@ impl<'a> Judge<'a> {
             pipeline_fusion_m: None,
         }
     }
+}
+
+/// Boxes of a stereo frame with its images.
+fn sightings<'a>(
+    seen: &'a Seen,
+    boxes: impl Iterator<Item = [PixelBox; 2]>,
+) -> impl Iterator<Item = Sighting<'a>> {
+    let images = pair_of(seen);
+    boxes.map(move |boxes| Sighting { images, boxes })
 }
 
 /// The left and the right image of a stereo frame.

@@ -7,13 +7,13 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use crate::error::{Error, Result};
 
 /// Size of a chart, SVG units; the page scales it.
-const SIZE: (u32, u32) = (480, 270);
+const SIZE: (u32, u32) = (480, 280);
 
 /// Size of a square chart.
 const SQUARE: (u32, u32) = (480, 460);
 
 /// Names on an axis that have room beside each other.
-const MOST_NAMES: usize = 10;
+const MOST_NAMES: usize = 8;
 
 const INK: RGBColor = RGBColor(60, 60, 60);
 
@@ -127,7 +127,7 @@ impl Figure {
     fn draw(&self, svg: &mut String) -> Result<(), Box<dyn std::error::Error>> {
         let size = if self.square { SQUARE } else { SIZE };
         let root = SVGBackend::with_string(svg, size).into_drawing_area();
-        let style = ("sans-serif", 13).into_font().color(&INK);
+        let style = ("sans-serif", 15).into_font().color(&INK);
         let [x_range, y_range] = [&self.x, &self.y].map(|axis| {
             let [low, high] = axis.range;
             // An axis must have a length.
@@ -136,8 +136,8 @@ impl Figure {
         let mut chart = ChartBuilder::on(&root)
             .margin(6)
             .margin_right(14)
-            .x_label_area_size(36)
-            .y_label_area_size(50)
+            .x_label_area_size(42)
+            .y_label_area_size(58)
             .build_cartesian_2d(x_range, y_range)?;
         let names = self.x.names.len();
         chart
@@ -156,12 +156,12 @@ impl Figure {
             .y_label_formatter(&|value| self.y.number(*value))
             .draw()?;
         let every = names.div_ceil(MOST_NAMES).max(1);
-        let centered = TextStyle::from(("sans-serif", 11).into_font())
+        let centered = TextStyle::from(("sans-serif", 13).into_font())
             .color(&INK)
             .pos(Pos::new(HPos::Center, VPos::Top));
         for (place, name) in self.x.names.iter().enumerate().step_by(every) {
             let (x, y) = chart.backend_coord(&(place as f64 + 0.5, self.y.range[0]));
-            root.draw(&Text::new(name.clone(), (x, y + 5), &centered))?;
+            root.draw(&Text::new(name.clone(), (x, y + 6), &centered))?;
         }
         for (color, shape) in &self.shapes {
             draw_shape(&mut chart, *color, shape)?;

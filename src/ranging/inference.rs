@@ -8,7 +8,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{RangingConfig, RangingNetwork};
+use super::{RangingConfig, RangingNetwork, Readout};
 use crate::dataset::{BoxKind, CompositeSize, composite_into_planes, geometry_vector};
 use crate::error::{Error, Result};
 use crate::geometry::{PixelBox, StereoRig};
@@ -28,6 +28,10 @@ pub struct RangingHeader {
     pub version: String,
     /// Size of the composite, "height x width".
     pub composite: CompositeSize,
+    /// What the network's output stands for; files of older versions do not say and mean the
+    /// distance.
+    #[serde(default)]
+    pub readout: Readout,
     /// Per-channel mean and deviation that normalise the composite.
     pub normalization: ChannelStatistics,
     /// Kind of box it was trained on.
@@ -105,11 +109,11 @@ impl DistanceEstimator {
         &self.header
     }
 
-    /// The distance of each vehicle, metres.
+    /// The distance of each vehicle, metres, given the rig that took the images.
     ///
     /// # Errors
     /// A device that fails.
-    pub fn estimate(&self, sightings: &[Sighting]) -> Result<Vec<f64>> {
+    pub fn estimate(&self, sightings: &[Sighting], rig: &StereoRig) -> Result<Vec<f64>> {
         let mut distances_m = Vec::with_capacity(sightings.len());
         for batch in sightings.chunks(BATCH) {
             let (composites, geometry) = stack(
@@ -126,7 +130,12 @@ impl DistanceEstimator {
                     "try another device",
                 )
             })?;
-            distances_m.extend(values.into_iter().map(f64::from));
+            let metres = values.into_iter().zip(batch).map(|(value, sighting)| {
+                let [left, right] = &sighting.boxes;
+                let per_output = self.header.readout.distance_per_output([left, right], rig);
+                f64::from(value) * per_output
+            });
+            distances_m.extend(metres);
         }
         Ok(distances_m)
     }

@@ -4,8 +4,10 @@ mod inference;
 mod loss;
 mod merge;
 mod network;
+mod readout;
 
 pub use inference::{DistanceEstimator, RangingHeader, Sighting};
 pub use loss::{RangingLoss, ranging_loss};
 pub use merge::compose_convolutions;
 pub use network::{BLOCK_CHANNELS, RangingConfig, RangingFeatures, RangingNetwork};
+pub use readout::Readout;

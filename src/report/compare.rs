@@ -42,12 +42,18 @@ fn evaluations(runs: &[Run]) -> impl Iterator<Item = (&Run, &Evaluated)> {
         .flat_map(|run| run.evaluations.iter().map(move |of| (run, of)))
 }
 
+/// A file of every evaluation.
+fn sources(runs: &[Run], name: &str) -> String {
+    let files: Vec<String> = evaluations(runs).map(|(_, of)| of.file(name)).collect();
+    files.join(", ")
+}
+
 fn ends(interval: Option<Interval>) -> [Option<f64>; 2] {
     [interval.map(|i| i.low), interval.map(|i| i.high)]
 }
 
 fn detectors(runs: &[Run]) -> Table {
-    let source = "evaluation.json of each evaluation";
+    let source = sources(runs, "evaluation.json");
     let mut table = Table::new(
         "Detector",
         &[
@@ -62,6 +68,7 @@ fn detectors(runs: &[Run]) -> Table {
         ],
         source,
     );
+    table.words = 2;
     for (run, of) in evaluations(runs) {
         let figures = &of.evaluation.detection;
         table.rows.push(vec![
@@ -102,8 +109,9 @@ fn distances(runs: &[Run]) -> Table {
             "MRE %",
             "best baseline",
         ],
-        "distance.csv of each evaluation",
+        sources(runs, "distance.csv"),
     );
+    table.words = 3;
     for (run, of) in evaluations(runs) {
         for boxes in Boxes::ALL {
             let Some(row) = network(of, boxes) else {
@@ -230,6 +238,7 @@ fn differences(name: &str, same: &[(&Run, &Evaluated)]) -> Table {
         "Below 0 the run is better than {}; where the bounds hold 0, that may be chance.",
         first_run.name
     );
+    table.words = 2;
     let reference = by_key(first);
     for (run, of) in &same[1..] {
         let pairs: Vec<(VehicleRow, VehicleRow)> = by_key(of)

@@ -176,6 +176,7 @@ fn coco(of: &Evaluated) -> Table {
     );
     "Small is below 32 x 32 pixels of the image, large above 96 x 96.".clone_into(&mut table.note);
     table.folded = true;
+    table.words = 3;
     for row in &of.evaluation.tables.coco {
         table.rows.push(vec![
             row.figure.clone(),

@@ -52,6 +52,7 @@ pub(super) fn add(section: &mut Section, of: &Evaluated) -> Result<()> {
             baselines.matched
         );
         table.folded = true;
+        table.words = 2;
         table.rows = vec![
             vec![
                 "size".to_owned(),
@@ -157,6 +158,7 @@ fn differences(of: &Evaluated) -> Table {
     "On the vehicles that both have an answer for. Below 0 the network is better; where the bounds \
      hold 0, that may be chance."
         .clone_into(&mut table.note);
+    table.words = 2;
     for row in &of.evaluation.tables.differences {
         table.rows.push(vec![
             row.method.name().to_owned(),

@@ -28,7 +28,7 @@ pub(super) struct Section {
 pub(super) enum Block {
     /// A heading.
     Heading { text: String },
-    /// Rows under a header; the first `text_columns` columns are words.
+    /// Rows under a header.
     Table(Table),
     /// Charts beside each other.
     Charts { charts: Vec<Chart> },
@@ -52,6 +52,8 @@ pub(super) struct Table {
     pub title: String,
     pub header: Vec<String>,
     pub rows: Vec<Vec<String>>,
+    /// The first so many columns are words, the others numbers.
+    pub words: usize,
     pub note: String,
     pub source: String,
     /// Folded away until somebody wants it.
@@ -119,6 +121,7 @@ impl Table {
             title: title.to_owned(),
             header: header.iter().map(|&text| text.to_owned()).collect(),
             rows: Vec::new(),
+            words: 1,
             note: String::new(),
             source: source.into(),
             folded: false,

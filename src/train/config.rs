@@ -9,6 +9,7 @@ use crate::dataset::{BoxKind, CompositeSize, SplitBy};
 use crate::detector::Scale;
 use crate::error::{Error, Result};
 use crate::files;
+use crate::ranging::Readout;
 
 /// The presets that come with the program.
 const PRESETS: [(&str, &str); 2] = [
@@ -97,6 +98,9 @@ pub struct DetectorTraining {
 pub struct DistanceTraining {
     /// Size of the composites.
     pub composite: CompositeSize,
+    /// What the network's output stands for.
+    #[serde(default)]
+    pub readout: Readout,
     /// Passes over the training vehicles.
     pub epochs: u32,
     /// Composites per optimiser step.

@@ -108,6 +108,7 @@ impl DistanceRecipe {
                 network: RangingHeader::NETWORK.to_owned(),
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 composite: settings.composite,
+                readout: settings.readout,
                 normalization,
                 box_kind: config.box_kind,
                 classes: dataset.classes().to_vec(),
@@ -138,8 +139,12 @@ impl DistanceRecipe {
             .composites;
         let network = normalize_layers(network, composites);
         let mut rows = Vec::new();
+        let mut outputs = Vec::with_capacity(self.train.len());
         for vehicles in self.train.chunks(self.settings.micro_batch) {
-            let batch = self.batch(self.composites(vehicles, None)?, &device);
+            let loaded = self.composites(vehicles, None)?;
+            let wanted = loaded.distances_m.iter().zip(&loaded.distance_per_output);
+            outputs.extend(wanted.map(|(distance, per)| f64::from(*distance) / f64::from(*per)));
+            let batch = self.batch(loaded, &device);
             let features = network.features(batch.composites).fc2;
             let inputs = Tensor::cat(vec![features, batch.geometry], 1);
             let [_, width] = inputs.dims();
@@ -150,12 +155,7 @@ impl DistanceRecipe {
             progress.advance(vehicles.len() as u64);
         }
         progress.end();
-        let distances_m: Vec<f64> = self
-            .train
-            .iter()
-            .map(|vehicle| vehicle.label.distance_m)
-            .collect();
-        Ok(fit_readout(network, &rows, &distances_m).train())
+        Ok(fit_readout(network, &rows, &outputs).train())
     }
 
     /// The numbers that steer the stage.
@@ -213,12 +213,21 @@ impl DistanceRecipe {
                     self.change(planes, random);
                 }
                 let (width, height) = images[0].dimensions();
-                Ok(geometry_vector(left, right, width, height))
+                let per_output = self
+                    .settings
+                    .readout
+                    .distance_per_output([left, right], &self.rig);
+                Ok((
+                    geometry_vector(left, right, width, height),
+                    per_output as f32,
+                ))
             })
-            .collect::<Result<Vec<[f32; 2]>>>()?;
+            .collect::<Result<Vec<([f32; 2], f32)>>>()?;
+        let (geometry, distance_per_output) = geometry.into_iter().unzip();
         Ok(LoadedComposites {
             planes,
             geometry,
+            distance_per_output,
             distances_m: vehicles
                 .iter()
                 .map(|vehicle| vehicle.label.distance_m as f32)
@@ -232,10 +241,13 @@ impl DistanceRecipe {
         let count = loaded.distances_m.len();
         let shape = [count, 3, size.height as usize, size.width as usize];
         let geometry = TensorData::new(loaded.geometry.concat(), [count, 2]);
+        let column =
+            |values: Vec<f32>| Tensor::from_data(TensorData::new(values, [count, 1]), device);
         Batch {
             composites: Tensor::from_data(TensorData::new(loaded.planes, shape), device),
             geometry: Tensor::from_data(geometry, device),
-            distances_m: Tensor::from_data(TensorData::new(loaded.distances_m, [count, 1]), device),
+            distance_per_output: column(loaded.distance_per_output),
+            distances_m: column(loaded.distances_m),
         }
     }
 
@@ -276,17 +288,28 @@ impl DistanceRecipe {
     }
 }
 
-/// Composites `[batch, 3, height, width]`, geometry `[batch, 2]`, distances `[batch, 1]`.
+/// Composites `[batch, 3, height, width]`, geometry `[batch, 2]`; metres of distance per unit of the
+/// network's output and true distances, `[batch, 1]`.
 struct Batch {
     composites: Tensor<4>,
     geometry: Tensor<2>,
+    distance_per_output: Tensor<2>,
     distances_m: Tensor<2>,
 }
 
-/// Composites, geometry vectors and distances before they go to a device.
+impl Batch {
+    /// The network's distances, metres, `[batch, 1]`.
+    fn predict(&self, network: &RangingNetwork) -> Tensor<2> {
+        let output = network.forward(self.composites.clone(), self.geometry.clone());
+        output * self.distance_per_output.clone()
+    }
+}
+
+/// What a [`Batch`] holds before it goes to a device.
 pub struct LoadedComposites {
     planes: Vec<f32>,
     geometry: Vec<[f32; 2]>,
+    distance_per_output: Vec<f32>,
     distances_m: Vec<f32>,
 }
 
@@ -315,8 +338,7 @@ impl Recipe for DistanceRecipe {
         share: f64,
     ) -> Result<PassLoss> {
         let batch = self.batch(batch, &self.device);
-        let predicted = model.forward(batch.composites, batch.geometry);
-        let loss = ranging_loss(predicted, batch.distances_m).total;
+        let loss = ranging_loss(batch.predict(model), batch.distances_m).total;
         let reported = scalar(&loss)?;
         Ok(PassLoss {
             total: loss.mul_scalar(share),
@@ -332,7 +354,7 @@ impl Recipe for DistanceRecipe {
         let mut errors = DistanceErrors::new();
         for vehicles in self.val.chunks(self.settings.micro_batch) {
             let batch = self.batch(self.composites(vehicles, None)?, &device);
-            let predicted = model.forward(batch.composites, batch.geometry);
+            let predicted = batch.predict(model);
             let values = predicted
                 .try_into_vec_as::<f64>()
                 .map_err(|source| Error::training(source.to_string(), "try another device"))?;

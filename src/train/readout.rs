@@ -8,22 +8,22 @@ use crate::ranging::RangingNetwork;
 /// were noise.
 const RIDGE: f64 = 0.1;
 
-/// Sets the last layer to the ridge regression of distance on features and geometry.
+/// Sets the last layer to the ridge regression of its wanted output on features and geometry.
 ///
 /// Metres are large numbers, and Adam at its usual rate walks there slowly; from the regression on
 /// the untrained features the first steps already pull at the right ends. Each vehicle is
-/// weighted by the inverse square of its distance, as the loss's relative term does.
+/// weighted by the inverse square of its output, as the loss's relative term does.
 ///
 /// `rows` hold the last layer's inputs of each training vehicle.
 pub fn fit_readout(
     mut network: RangingNetwork,
     rows: &[Vec<f64>],
-    distances_m: &[f64],
+    outputs: &[f64],
 ) -> RangingNetwork {
     if rows.is_empty() {
         return network;
     }
-    let (slopes, bias) = regress(rows, distances_m);
+    let (slopes, bias) = regress(rows, outputs);
     network.out.weight = network.out.weight.map(|tensor| {
         let slopes: Vec<f32> = slopes.iter().map(|slope| *slope as f32).collect();
         Tensor::from_data(TensorData::new(slopes, tensor.dims()), &tensor.device())
