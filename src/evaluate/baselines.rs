@@ -39,8 +39,11 @@ const FARTHEST: f64 = 2.0;
 /// Rounds of reweighting of the fusion's fit; it moves no more after half of them.
 const ROUNDS: usize = 30;
 
-/// Relative errors below this all weigh the same in the fusion's fit.
-const LEAST_ERROR: f64 = 1e-3;
+/// Relative errors above this count less and less in the fusion's fit.
+const USUAL_ERROR: f64 = 0.1;
+
+/// The fusion where nothing can be fitted, and where its fit starts from.
+const EVEN_FUSION: [f64; 3] = [0.0, 0.5, 0.5];
 
 /// The baselines' constants, and where they come from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -57,8 +60,7 @@ pub struct Baselines {
     pub size_constant_m: f64,
     /// From the surface that matching sees to the vehicle's centre, metres: the median difference.
     pub surface_to_center_m: f64,
-    /// Of the fusion: constant in metres, share of size, share of matching. Least mean relative
-    /// error.
+    /// Of the fusion: constant in metres, share of size, share of matching.
     pub fusion: [f64; 3],
     /// Answers beyond this are set to it, metres.
     pub farthest_m: f64,
@@ -128,7 +130,7 @@ impl Baselines {
             size_m,
             size_constant_m: size_m * rig.focal_px() / f64::from(rig.left.width),
             surface_to_center_m,
-            fusion: fit_fusion(&rows).unwrap_or([0.0, 0.5, 0.5]),
+            fusion: fit_fusion(&rows).unwrap_or(EVEN_FUSION),
             farthest_m,
         }))
     }
@@ -257,14 +259,17 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Coefficients of the least mean relative error, by iteratively reweighted least squares: squares
-/// alone would follow the few vehicles that matching takes for something else.
+/// Coefficients that fit most vehicles: least squares of relative errors, reweighted until the few
+/// that matching takes for something else, whose errors are far above [`USUAL_ERROR`], hardly count
+/// (Cauchy's weights). Squares alone would follow those few.
 fn fit_fusion(rows: &[([f64; 3], f64)]) -> Option<[f64; 3]> {
-    let mut weights: Vec<f64> = rows.iter().map(|(_, truth)| truth.powi(-2)).collect();
-    let mut solution = None;
+    let mut solution = EVEN_FUSION;
     for _ in 0..ROUNDS {
         let mut normal = [[0.0; 4]; 3];
-        for ((features, truth), weight) in rows.iter().zip(&weights) {
+        for (features, truth) in rows {
+            let estimate: f64 = features.iter().zip(&solution).map(|(f, c)| f * c).sum();
+            let error = (estimate - truth) / truth;
+            let weight = truth.powi(-2) / (1.0 + (error / USUAL_ERROR).powi(2));
             for i in 0..3 {
                 for j in 0..3 {
                     normal[i][j] += weight * features[i] * features[j];
@@ -272,15 +277,9 @@ fn fit_fusion(rows: &[([f64; 3], f64)]) -> Option<[f64; 3]> {
                 normal[i][3] += weight * features[i] * truth;
             }
         }
-        let found = solve(normal)?;
-        for ((features, truth), weight) in rows.iter().zip(&mut weights) {
-            let estimate: f64 = features.iter().zip(&found).map(|(f, c)| f * c).sum();
-            let error = ((estimate - truth) / truth).abs();
-            *weight = truth.powi(-2) / error.max(LEAST_ERROR);
-        }
-        solution = Some(found);
+        solution = solve(normal)?;
     }
-    solution
+    Some(solution)
 }
 
 /// Solves three linear equations by elimination; None where they do not determine the unknowns.

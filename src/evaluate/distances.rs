@@ -183,6 +183,12 @@ pub(super) fn rows(
                 .or_default()
                 .push(vehicle);
         }
+        // Where only made up vehicles are, they still count.
+        for vehicle in false_vehicles {
+            if let Some(key) = groups.of_false(grouping, vehicle) {
+                members.entry(key).or_default();
+            }
+        }
         let known = members
             .keys()
             .filter(|(place, _)| *place != usize::MAX)

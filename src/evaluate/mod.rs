@@ -36,3 +36,4 @@ pub use tables::{Tables, evaluations, read};
 pub use vehicles::{Boxes, Estimates, FalseVehicle, Method, VehicleRow};
 
 use pipeline::training_dataset;
+pub(crate) use show::{number, percent, protocol_cells};

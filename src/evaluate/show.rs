@@ -62,12 +62,13 @@ fn bounds(interval: Option<Interval>, decimals: usize) -> String {
     })
 }
 
-/// A number, or `-`.
-fn number(value: Option<f64>, decimals: usize) -> String {
+/// A number with decimals, or `-`.
+pub(crate) fn number(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
-fn percent(share: Option<f64>) -> String {
+/// A share in percent.
+pub(crate) fn percent(share: Option<f64>) -> String {
     number(share.map(|share| share * 100.0), 0)
 }
 
@@ -243,13 +244,13 @@ fn write_protocol(text: &mut String, protocol: &Protocol) -> fmt::Result {
     missing(text, protocol)
 }
 
-fn protocol_row(text: &mut String, row: &ProtocolRow) -> fmt::Result {
+/// Distance, estimates, errors and counts of a row: one text a column.
+pub(crate) fn protocol_cells(row: &ProtocolRow) -> [String; 13] {
     let distance = row
         .distance_m
-        .map_or_else(|| "mean".to_owned(), |d| format!("{d:.0}"));
-    writeln!(
-        text,
-        "{distance:<8}  {:>7} {:>7} {:>7} {:>8} | {:>6} {:>6} {:>6} {:>5} | {:>6} {:>6} | {:>3}/{}",
+        .map_or_else(|| "mean".to_owned(), |m| format!("{m:.0}"));
+    [
+        distance,
         number(row.sunrise_m, 1),
         number(row.morning_m, 1),
         number(row.noon_m, 1),
@@ -260,8 +261,31 @@ fn protocol_row(text: &mut String, row: &ProtocolRow) -> fmt::Result {
         number(row.paper_mre_percent, 1),
         number(row.rmse_m, 2),
         number(row.mre_percent, 1),
-        row.missed,
-        row.frames,
+        row.missed.to_string(),
+        row.frames.to_string(),
+    ]
+}
+
+fn protocol_row(text: &mut String, row: &ProtocolRow) -> fmt::Result {
+    let [distance, sunrise, morning, noon, afternoon, errors @ ..] = protocol_cells(row);
+    let [
+        rmse,
+        paper_rmse,
+        mre,
+        paper_mre,
+        frames_rmse,
+        frames_mre,
+        missed,
+        frames,
+    ] = errors;
+    write!(
+        text,
+        "{distance:<8}  {sunrise:>7} {morning:>7} {noon:>7} {afternoon:>8} | "
+    )?;
+    write!(text, "{rmse:>6} {paper_rmse:>6} {mre:>6} {paper_mre:>5} | ")?;
+    writeln!(
+        text,
+        "{frames_rmse:>6} {frames_mre:>6} | {missed:>3}/{frames}"
     )
 }
 

@@ -122,7 +122,7 @@ fn distances(runs: &[Run]) -> Table {
                 if is_pipeline {
                     count.to_string()
                 } else {
-                    "–".to_owned()
+                    "-".to_owned()
                 }
             };
             table.rows.push(vec![
@@ -133,7 +133,7 @@ fn distances(runs: &[Run]) -> Table {
                 counted(row.answered),
                 counted(row.unanswered),
                 row.false_vehicles
-                    .map_or_else(|| "–".to_owned(), |count| count.to_string()),
+                    .map_or_else(|| "-".to_owned(), |count| count.to_string()),
                 bounded(row.mae_m, [row.mae_low_m, row.mae_high_m], 2),
                 bounded(row.rmse_m, [row.rmse_low_m, row.rmse_high_m], 2),
                 bounded(
@@ -162,7 +162,7 @@ fn best_baseline(of: &Evaluated, boxes: Boxes) -> String {
         .filter_map(|row| Some((row.mre_percent?, row.method)))
         .min_by(|a, b| a.0.total_cmp(&b.0));
     best.map_or_else(
-        || "–".to_owned(),
+        || "-".to_owned(),
         |(mre, method)| format!("{method}, {mre:.1} %"),
     )
 }

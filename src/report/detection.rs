@@ -158,7 +158,7 @@ fn confusion(of: &Evaluated) -> Table {
         let is_cell = |row: &&ConfusionRow| row.found == found && row.there == there;
         rows.iter()
             .find(is_cell)
-            .map_or_else(|| "–".to_owned(), |row| row.count.to_string())
+            .map_or_else(|| "-".to_owned(), |row| row.count.to_string())
     };
     for found in found {
         let mut cells = vec![found.to_owned()];

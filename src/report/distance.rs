@@ -4,7 +4,9 @@ use super::load::Evaluated;
 use super::parts::{Chart, Section, Table, bounded, number, percent};
 use crate::dataset::BoxKind;
 use crate::error::Result;
-use crate::evaluate::{Boxes, DistanceRow, Grouping, LABEL_NOTE, Method, ProtocolRow, Tables};
+use crate::evaluate::{
+    Boxes, DistanceRow, Grouping, LABEL_NOTE, Method, ProtocolRow, Tables, protocol_cells,
+};
 use crate::page::charts::{Axis, Figure, Rgb, Shape, bar_middle, color, grouped_bars};
 
 /// Beyond this many times the largest true distance, the scatter is cut off.
@@ -212,7 +214,7 @@ fn groups(of: &Evaluated, grouping: Grouping) -> Table {
             pipeline.unanswered.to_string(),
             pipeline
                 .false_vehicles
-                .map_or_else(|| "–".to_owned(), |count| count.to_string()),
+                .map_or_else(|| "-".to_owned(), |count| count.to_string()),
             number(pipeline.mae_m, 2),
             number(pipeline.mre_percent, 1),
         ]);
@@ -391,22 +393,7 @@ fn protocol(section: &mut Section, of: &Evaluated) {
         );
         let is_shown = |row: &&ProtocolRow| row.boxes == boxes && row.frames > 0;
         for row in protocol.rows.iter().filter(is_shown) {
-            table.rows.push(vec![
-                row.distance_m
-                    .map_or_else(|| "mean".to_owned(), |m| format!("{m:.0}")),
-                number(row.sunrise_m, 1),
-                number(row.morning_m, 1),
-                number(row.noon_m, 1),
-                number(row.afternoon_m, 1),
-                number(row.rmse_of_means_m, 2),
-                number(row.paper_rmse_m, 2),
-                number(row.mre_of_means_percent, 1),
-                number(row.paper_mre_percent, 1),
-                number(row.rmse_m, 2),
-                number(row.mre_percent, 1),
-                row.missed.to_string(),
-                row.frames.to_string(),
-            ]);
+            table.rows.push(protocol_cells(row).to_vec());
         }
         section.table(table);
     }

@@ -155,7 +155,7 @@ fn epochs(path: &Path) -> Result<Vec<EpochRow>> {
         .map_err(|source| {
             Error::value(
                 path.display().to_string(),
-                format!("is not a metrics table: {source}"),
+                format!("is not a metrics table: {}", source.to_string().trim()),
                 "restore the file that `train` wrote",
             )
         })

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::error::Result;
+pub(super) use crate::evaluate::{number, percent};
 use crate::page::charts::{Figure, Rgb, hex};
 
 /// The whole page.
@@ -153,11 +154,6 @@ impl Chart {
     }
 }
 
-/// A number with decimals, or a dash.
-pub(super) fn number(value: Option<f64>, decimals: usize) -> String {
-    value.map_or_else(|| "–".to_owned(), |value| format!("{value:.decimals$}"))
-}
-
 /// A number with its bounds.
 pub(super) fn bounded(
     value: Option<f64>,
@@ -169,9 +165,4 @@ pub(super) fn bounded(
         (Some(low), Some(high)) => format!("{text} [{low:.decimals$}, {high:.decimals$}]"),
         _ => text,
     }
-}
-
-/// A share in percent.
-pub(super) fn percent(share: Option<f64>) -> String {
-    number(share.map(|share| 100.0 * share), 0)
 }

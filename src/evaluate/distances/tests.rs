@@ -64,7 +64,7 @@ fn false_vehicle(estimated_m: f64) -> FalseVehicle {
 #[test]
 fn every_grouping_counts_every_vehicle_once_and_every_false_one_that_it_can() {
     let vehicles = vehicles();
-    let made_up = [false_vehicle(12.0), false_vehicle(29.0)];
+    let made_up = [false_vehicle(12.0), false_vehicle(95.0)];
     let rows = rows(&vehicles, &made_up, &drawing(&vehicles));
     for grouping in [
         Grouping::All,
