@@ -20,11 +20,11 @@ use twinsight::detector::Yolo11;
 use twinsight::detector::decode::Anchors;
 use twinsight::detector::loss::{LossGains, detection_loss};
 use twinsight::detector::weights::tensor_name;
-use twinsight::train::Schedule;
 use twinsight::train::optimizer::{
     AveragedWeights, clip_gradients, detector_optimizer, distance_optimizer, ema_decay,
     schedule_factor,
 };
+use twinsight::train::{OptimizerKind, Schedule};
 use twinsight::weights::StateDict;
 
 /// One weight, so named that it belongs to the group with weight decay.
@@ -71,12 +71,15 @@ fn check_optimizer(name: &str, mut optimizer: ModuleOptimizer) {
 
 #[test]
 fn the_distance_networks_adam_takes_the_reference_steps() {
-    check_optimizer("adam", distance_optimizer());
+    check_optimizer("adam", distance_optimizer(OptimizerKind::Adam));
 }
 
 #[test]
 fn the_detectors_adam_takes_the_reference_steps_with_weight_decay() {
-    check_optimizer("adam_ultra", detector_optimizer(5e-4).unwrap());
+    check_optimizer(
+        "adam_ultra",
+        detector_optimizer(OptimizerKind::Adam, 5e-4).unwrap(),
+    );
 }
 
 #[test]

@@ -20,7 +20,7 @@ use twinsight::imaging::ChannelStatistics;
 use twinsight::progress::Silent;
 use twinsight::render::RigPose;
 use twinsight::train::TrainConfig;
-use twinsight::train::augment::{DetectionAugment, augmented_letterbox};
+use twinsight::train::augment::{DetectionAugment, Scene, augmented_letterbox};
 use twinsight::{Error, Result};
 
 use super::Bench;
@@ -154,17 +154,14 @@ fn time_images(dataset: &StereoDataset, cache: usize) -> Result<f64> {
                     Error::training(source.to_string(), "free some space for temporary files")
                 })?;
                 let mut random = Pcg64::new(1, index as u128);
-                augmented_letterbox(
-                    &item.image,
-                    &item.boxes,
-                    &item.ignored,
-                    input,
-                    &augment,
-                    &mut random,
-                    planes,
-                )
-                .map(black_box)
-                .map(|_| ())
+                let scene = Scene {
+                    image: &item.image,
+                    boxes: &item.boxes,
+                    ignored: &item.ignored,
+                };
+                augmented_letterbox(scene, input, &augment, &mut random, planes)
+                    .map(black_box)
+                    .map(|_| ())
             })
     })?;
     Ok(timing.least_ms)

@@ -12,10 +12,10 @@ use twinsight::detector::decode::Anchors;
 use twinsight::detector::loss::{ImageTargets, LossGains, detection_loss};
 use twinsight::detector::{RawOutput, Scale};
 use twinsight::ranging::ranging_loss;
-use twinsight::train::TrainConfig;
 use twinsight::train::optimizer::{
     AveragedWeights, clip_gradients, detector_optimizer, distance_optimizer, initialize, scalar,
 };
+use twinsight::train::{OptimizerKind, TrainConfig};
 use twinsight::{Error, Result};
 
 use super::Bench;
@@ -50,7 +50,7 @@ impl Step {
     fn detector() -> Result<Self> {
         let settings = TrainConfig::preset("quick")?.detector;
         Ok(Self {
-            optimizer: detector_optimizer(settings.weight_decay)?,
+            optimizer: detector_optimizer(settings.optimizer, settings.weight_decay)?,
             clip_norm: Some(settings.clip_norm),
             average: Some((settings.ema_decay, settings.ema_ramp)),
         })
@@ -58,7 +58,7 @@ impl Step {
 
     fn distance() -> Self {
         Self {
-            optimizer: distance_optimizer(),
+            optimizer: distance_optimizer(OptimizerKind::Adam),
             clip_norm: None,
             average: None,
         }

@@ -80,6 +80,15 @@ impl DistanceEstimator {
     /// # Errors
     /// A file that is missing, damaged or of another network.
     pub fn load(path: &Path, device: &Device) -> Result<Self> {
+        let (network, header) = Self::read(path, device)?;
+        Ok(Self::new(&network, header, device))
+    }
+
+    /// Reads weights that training wrote, to train on.
+    ///
+    /// # Errors
+    /// As [`DistanceEstimator::load`].
+    pub fn read(path: &Path, device: &Device) -> Result<(RangingNetwork, RangingHeader)> {
         let state = StateDict::load(path)?;
         let header: Option<RangingHeader> = state.header()?;
         let Some(header) = header.filter(|header| header.network == RangingHeader::NETWORK) else {
@@ -90,8 +99,7 @@ impl DistanceEstimator {
             ));
         };
         let fresh = RangingConfig::for_size(header.composite).init(device)?;
-        let network = state.apply(fresh, str::to_owned)?;
-        Ok(Self::new(&network, header, device))
+        Ok((state.apply(fresh, str::to_owned)?, header))
     }
 
     /// Saves weights with their header.

@@ -14,6 +14,10 @@ use crate::geometry::letterbox::{Enlarging, Frame, Letterbox, PADDING_GREY, Size
 const LEAST_SIDE_PX: f64 = 2.0;
 /// Boxes of which less than this part stays in view are dropped.
 const LEAST_AREA: f64 = 0.1;
+/// Boxes that are longer than so many times their other side are dropped.
+const LARGEST_ASPECT: f64 = 100.0;
+/// What lies outside all images.
+const GREY: [f32; 3] = [PADDING_GREY as f32 / 255.0; 3];
 
 /// Strengths of the detector's augmentation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,6 +37,149 @@ fn signed(random: &mut Pcg64) -> f64 {
     random.random_range(-1.0..1.0)
 }
 
+/// An image with its boxes, pixels of that image.
+#[derive(Debug, Clone, Copy)]
+pub struct Scene<'a> {
+    /// The picture.
+    pub image: &'a RgbImage,
+    /// What is to be found: class and box.
+    pub boxes: &'a [(u32, PixelBox)],
+    /// What may be found or not.
+    pub ignored: &'a [PixelBox],
+}
+
+/// A scene laid on a canvas that is then zoomed, shifted and mirrored into the network's input.
+struct Tile<'a> {
+    scene: Scene<'a>,
+    /// Canvas pixels per image pixel.
+    scale: [f64; 2],
+    /// Where the image's first corner lies on the canvas.
+    corner: [f64; 2],
+    /// The part of the canvas that it may fill.
+    area: PixelBox,
+}
+
+impl<'a> Tile<'a> {
+    /// The plain letterbox: the canvas is the network's input.
+    fn letterboxed(scene: Scene<'a>, input: Size) -> Result<Self> {
+        let original = Size::new(scene.image.width(), scene.image.height());
+        let letterbox = Letterbox::new(original, input, Frame::Exact, Enlarging::Allowed)?;
+        Ok(Self {
+            scene,
+            scale: [
+                f64::from(letterbox.resized.width) / f64::from(original.width),
+                f64::from(letterbox.resized.height) / f64::from(original.height),
+            ],
+            corner: [f64::from(letterbox.left), f64::from(letterbox.top)],
+            area: PixelBox::new(
+                f64::NEG_INFINITY,
+                f64::NEG_INFINITY,
+                f64::INFINITY,
+                f64::INFINITY,
+            ),
+        })
+    }
+
+    /// One of the four parts of a mosaic: column and row 0 or 1, touching the centre with its
+    /// nearest corner. The canvas is twice the input and has its middle where the input's is.
+    fn of_mosaic(scene: Scene<'a>, input: Size, center: [f64; 2], part: [bool; 2]) -> Self {
+        let sides = [f64::from(input.width), f64::from(input.height)];
+        let original = [
+            f64::from(scene.image.width()),
+            f64::from(scene.image.height()),
+        ];
+        let scale = (sides[0] / original[0]).min(sides[1] / original[1]);
+        let mut corner = center;
+        let mut area = [[0.0; 2]; 2];
+        for axis in 0..2 {
+            let (start, end) = (-sides[axis] / 2.0, 1.5 * sides[axis]);
+            area[axis] = if part[axis] {
+                [center[axis], end]
+            } else {
+                corner[axis] -= scale * original[axis];
+                [start, center[axis]]
+            };
+        }
+        let [x, y] = area;
+        Self {
+            scene,
+            scale: [scale, scale],
+            corner,
+            area: PixelBox::new(x[0], y[0], x[1], y[1]),
+        }
+    }
+
+    fn image_from_canvas(&self, value: f64, axis: usize) -> f64 {
+        (value - self.corner[axis]) / self.scale[axis]
+    }
+
+    /// A box on the canvas, cut at the edges of the part that the scene may fill.
+    fn canvas_from_image(&self, area: &PixelBox) -> PixelBox {
+        let at = |value: f64, axis: usize| value * self.scale[axis] + self.corner[axis];
+        let limit = &self.area;
+        PixelBox::new(
+            at(area.x_min, 0).max(limit.x_min),
+            at(area.y_min, 1).max(limit.y_min),
+            at(area.x_max, 0).min(limit.x_max),
+            at(area.y_max, 1).min(limit.y_max),
+        )
+    }
+
+    fn is_at(&self, x: f64, y: f64) -> bool {
+        let area = &self.area;
+        x >= area.x_min && x < area.x_max && y >= area.y_min && y < area.y_max
+    }
+}
+
+/// The random change of an image: canvas to input is zoom about the centre, shift, mirror.
+struct Change {
+    sides: [f64; 2],
+    zoom: f64,
+    shift: [f64; 2],
+    flipped: bool,
+    gains: [f64; 3],
+}
+
+impl Change {
+    fn draw(augment: &DetectionAugment, input: Size, random: &mut Pcg64) -> Self {
+        let sides = [f64::from(input.width), f64::from(input.height)];
+        Self {
+            zoom: 1.0 + augment.zoom * signed(random),
+            shift: sides.map(|side| augment.shift * signed(random) * side),
+            flipped: random.random_bool(augment.flip),
+            gains: augment.hsv.map(|strength| strength * signed(random)),
+            sides,
+        }
+    }
+
+    fn canvas_from_input(&self, value: f64, axis: usize) -> f64 {
+        let side = self.sides[axis];
+        let value = if axis == 0 && self.flipped {
+            side - value
+        } else {
+            value
+        };
+        (value - self.shift[axis] - side / 2.0) / self.zoom + side / 2.0
+    }
+
+    fn input_from_canvas(&self, area: &PixelBox) -> PixelBox {
+        let [width, height] = self.sides;
+        let at = |value: f64, side: f64, shift: f64| {
+            (value - side / 2.0) * self.zoom + side / 2.0 + shift
+        };
+        let mut moved = PixelBox::new(
+            at(area.x_min, width, self.shift[0]),
+            at(area.y_min, height, self.shift[1]),
+            at(area.x_max, width, self.shift[0]),
+            at(area.y_max, height, self.shift[1]),
+        );
+        if self.flipped {
+            (moved.x_min, moved.x_max) = (width - moved.x_max, width - moved.x_min);
+        }
+        moved
+    }
+}
+
 /// Letterboxes an image with a random zoom, shift, flip and colour into the planes of the
 /// detector's input, `[3, height, width]` in 0..1, and returns there what is to be found and what
 /// to be ignored.
@@ -40,80 +187,95 @@ fn signed(random: &mut Pcg64) -> f64 {
 /// # Errors
 /// An image of impossible size.
 pub fn augmented_letterbox(
-    image: &RgbImage,
-    boxes: &[(u32, PixelBox)],
-    ignored: &[PixelBox],
+    scene: Scene,
     input: Size,
     augment: &DetectionAugment,
     random: &mut Pcg64,
     planes: &mut [f32],
 ) -> Result<ImageTargets> {
-    let original = Size::new(image.width(), image.height());
-    let letterbox = Letterbox::new(original, input, Frame::Exact, Enlarging::Allowed)?;
-    let zoom = 1.0 + augment.zoom * signed(random);
-    let (width, height) = (f64::from(input.width), f64::from(input.height));
-    let shift = [
-        augment.shift * signed(random) * width,
-        augment.shift * signed(random) * height,
-    ];
-    let flipped = random.random_bool(augment.flip);
-    let gains = augment.hsv.map(|strength| strength * signed(random));
+    let tile = Tile::letterboxed(scene, input)?;
+    let change = Change::draw(augment, input, random);
+    Ok(draw(&[tile], input, &change, planes))
+}
 
-    // Letterbox coordinates after the change: (x - centre) zoom + centre + shift, then mirrored.
-    let forward =
-        |value: f64, side: f64, shift: f64| (value - side / 2.0) * zoom + side / 2.0 + shift;
-    let back = |value: f64, side: f64, shift: f64| (value - shift - side / 2.0) / zoom + side / 2.0;
-    let scale_x = f64::from(letterbox.resized.width) / f64::from(original.width);
-    let scale_y = f64::from(letterbox.resized.height) / f64::from(original.height);
-    let source_x: Vec<f64> = (0..input.width)
-        .map(|x| {
-            let x = f64::from(x) + 0.5;
-            let x = if flipped { width - x } else { x };
-            (back(x, width, shift[0]) - f64::from(letterbox.left)) / scale_x
-        })
+/// Like [`augmented_letterbox`] for a mosaic of four scenes that meet at a random point.
+pub fn augmented_mosaic(
+    scenes: [Scene; 4],
+    input: Size,
+    augment: &DetectionAugment,
+    random: &mut Pcg64,
+    planes: &mut [f32],
+) -> ImageTargets {
+    // The middle half of the canvas, in whole pixels: all of the input.
+    let center = [
+        f64::from(random.random_range(0..input.width)),
+        f64::from(random.random_range(0..input.height)),
+    ];
+    let parts = [[false, false], [true, false], [false, true], [true, true]];
+    let tiles: Vec<Tile> = scenes
+        .into_iter()
+        .zip(parts)
+        .map(|(scene, part)| Tile::of_mosaic(scene, input, center, part))
         .collect();
+    let change = Change::draw(augment, input, random);
+    draw(&tiles, input, &change, planes)
+}
+
+/// Fills the planes from the tiles, and moves their boxes.
+fn draw(tiles: &[Tile], input: Size, change: &Change, planes: &mut [f32]) -> ImageTargets {
     let area = input.area();
+    let canvas_x: Vec<f64> = (0..input.width)
+        .map(|x| change.canvas_from_input(f64::from(x) + 0.5, 0))
+        .collect();
     for y in 0..input.height {
-        let source_y =
-            (back(f64::from(y) + 0.5, height, shift[1]) - f64::from(letterbox.top)) / scale_y;
+        let canvas_y = change.canvas_from_input(f64::from(y) + 0.5, 1);
         let row = y as usize * input.width as usize;
-        for (x, &source_x) in source_x.iter().enumerate() {
-            let color = change_color(sample(image, source_x, source_y), gains);
-            for (channel, value) in color.into_iter().enumerate() {
+        for (x, &canvas_x) in canvas_x.iter().enumerate() {
+            let tile = tiles.iter().find(|tile| tile.is_at(canvas_x, canvas_y));
+            let color = tile.map_or(GREY, |tile| {
+                let x = tile.image_from_canvas(canvas_x, 0);
+                let y = tile.image_from_canvas(canvas_y, 1);
+                sample(tile.scene.image, x, y)
+            });
+            for (channel, value) in change_color(color, change.gains).into_iter().enumerate() {
                 planes[channel * area + row + x] = value;
             }
         }
     }
 
-    let moved = |box_pixel: &PixelBox| {
-        let b = letterbox.letterbox_from_pixel(box_pixel);
-        let mut moved = PixelBox::new(
-            forward(b.x_min, width, shift[0]),
-            forward(b.y_min, height, shift[1]),
-            forward(b.x_max, width, shift[0]),
-            forward(b.y_max, height, shift[1]),
-        );
-        if flipped {
-            (moved.x_min, moved.x_max) = (width - moved.x_max, width - moved.x_min);
+    let [width, height] = change.sides;
+    let mut targets = ImageTargets::default();
+    for tile in tiles {
+        let moved = |area: &PixelBox| {
+            let on_canvas = tile.canvas_from_image(area);
+            (on_canvas.width() > 0.0 && on_canvas.height() > 0.0)
+                .then(|| change.input_from_canvas(&on_canvas))
+        };
+        for (class, area) in tile.scene.boxes {
+            let Some(moved) = moved(area) else { continue };
+            let seen = moved.clipped(width, height);
+            if is_worth_finding(&seen, &moved) {
+                targets.targets.push(target(*class, &seen));
+            }
         }
-        moved
-    };
-    let targets = boxes.iter().filter_map(|(class, box_pixel)| {
-        let moved = moved(box_pixel);
-        let seen = moved.clipped(width, height);
-        (seen.width() > LEAST_SIDE_PX
-            && seen.height() > LEAST_SIDE_PX
-            && seen.area() > LEAST_AREA * moved.area())
-        .then(|| target(*class, &seen))
-    });
-    let ignored = ignored.iter().map(|box_pixel| {
-        let seen = moved(box_pixel).clipped(width, height);
-        [seen.x_min, seen.y_min, seen.x_max, seen.y_max]
-    });
-    Ok(ImageTargets {
-        targets: targets.collect(),
-        ignored: ignored.collect(),
-    })
+        for area in tile.scene.ignored {
+            let Some(moved) = moved(area) else { continue };
+            let seen = moved.clipped(width, height);
+            targets
+                .ignored
+                .push([seen.x_min, seen.y_min, seen.x_max, seen.y_max]);
+        }
+    }
+    targets
+}
+
+/// Whether enough of a box is in view.
+fn is_worth_finding(seen: &PixelBox, whole: &PixelBox) -> bool {
+    let (width, height) = (seen.width(), seen.height());
+    width > LEAST_SIDE_PX
+        && height > LEAST_SIDE_PX
+        && seen.area() > LEAST_AREA * whole.area()
+        && (width / height).max(height / width) < LARGEST_ASPECT
 }
 
 /// A box as a target.
@@ -128,7 +290,7 @@ pub fn target(class: u32, b: &PixelBox) -> Target {
 fn sample(image: &RgbImage, x: f64, y: f64) -> [f32; 3] {
     let (width, height) = (image.width() as usize, image.height() as usize);
     if !(x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64) {
-        return [f32::from(PADDING_GREY) / 255.0; 3];
+        return GREY;
     }
     let (x, y) = ((x - 0.5).max(0.0) as f32, (y - 0.5).max(0.0) as f32);
     let (column, row) = (x as usize, y as usize);
@@ -214,16 +376,13 @@ mod tests {
         let (image, input) = (picture(), Size::new(32, 32));
         let mut planes = vec![0.0; 3 * input.area()];
         let boxes = [(0, PixelBox::new(10.0, 4.0, 30.0, 20.0))];
-        let targets = augmented_letterbox(
-            &image,
-            &boxes,
-            &[],
-            input,
-            &still(),
-            &mut random(),
-            &mut planes,
-        )
-        .unwrap();
+        let scene = Scene {
+            image: &image,
+            boxes: &boxes,
+            ignored: &[],
+        };
+        let targets =
+            augmented_letterbox(scene, input, &still(), &mut random(), &mut planes).unwrap();
         let original = Size::new(64, 36);
         let letterbox = Letterbox::new(original, input, Frame::Exact, Enlarging::Allowed).unwrap();
         let mut plain = vec![0.0; 3 * input.area()];
@@ -247,16 +406,13 @@ mod tests {
             let mut planes = vec![0.0; 3 * input.area()];
             let boxes = [(0, PixelBox::new(10.0, 4.0, 30.0, 20.0))];
             let augment = DetectionAugment { flip, ..still() };
-            let targets = augmented_letterbox(
-                &image,
-                &boxes,
-                &[boxes[0].1],
-                input,
-                &augment,
-                &mut random(),
-                &mut planes,
-            )
-            .unwrap();
+            let scene = Scene {
+                image: &image,
+                boxes: &boxes,
+                ignored: &[boxes[0].1],
+            };
+            let targets =
+                augmented_letterbox(scene, input, &augment, &mut random(), &mut planes).unwrap();
             assert_eq!(targets.ignored, [targets.targets[0].box_letterbox]);
             (planes, targets.targets[0].box_letterbox)
         };
@@ -270,6 +426,46 @@ mod tests {
                     .all(|(a, b)| (a - b).abs() < 1e-5)
             );
         }
+    }
+
+    #[test]
+    fn a_mosaic_shows_four_scenes_and_their_boxes_where_they_are_drawn() {
+        // Each scene is of one colour but for a bright box in its middle.
+        let input = Size::new(64, 36);
+        let area = PixelBox::new(24.0, 12.0, 40.0, 24.0);
+        let images: Vec<RgbImage> = (0..4_u8)
+            .map(|tone| {
+                RgbImage::from_fn(64, 36, |x, y| {
+                    let inside = (24..40).contains(&x) && (12..24).contains(&y);
+                    image::Rgb([if inside { 255 } else { 20 * tone }; 3])
+                })
+            })
+            .collect();
+        let boxes: Vec<[(u32, PixelBox); 1]> = (0..4).map(|class| [(class, area)]).collect();
+        let mut seen = 0;
+        for seed in 0..20 {
+            let mut planes = vec![0.0; 3 * input.area()];
+            let scenes = [0, 1, 2, 3].map(|index| Scene {
+                image: &images[index],
+                boxes: &boxes[index],
+                ignored: &[],
+            });
+            let mut random = Pcg64::new(seed, 3);
+            let targets = augmented_mosaic(scenes, input, &still(), &mut random, &mut planes);
+            for target in &targets.targets {
+                let [x_min, y_min, x_max, y_max] = target.box_letterbox;
+                let middle = |a: f64, b: f64| f64::midpoint(a, b) as usize;
+                let at = middle(y_min, y_max) * 64 + middle(x_min, x_max);
+                assert!(
+                    planes[at] > 0.9,
+                    "{target:?} of seed {seed}: {}",
+                    planes[at]
+                );
+                assert!(x_min >= 0.0 && x_max <= 64.0 && y_min >= 0.0 && y_max <= 36.0);
+                seen += 1;
+            }
+        }
+        assert!(seen > 20, "{seen}");
     }
 
     #[test]

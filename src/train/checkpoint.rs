@@ -50,6 +50,30 @@ impl StageFolder {
         self.folder.join("last.safetensors")
     }
 
+    /// Weights of one of the last epochs, where they are kept.
+    pub fn of_epoch(&self, epoch: u32) -> PathBuf {
+        self.folder.join(format!("epoch-{epoch:04}.safetensors"))
+    }
+
+    /// Removes the kept weights of epochs before this one.
+    ///
+    /// # Errors
+    /// A file that cannot be removed.
+    pub fn drop_epochs_before(&self, first: u32) -> Result<()> {
+        let entries = std::fs::read_dir(&self.folder).map_err(Error::io("read", &self.folder))?;
+        for entry in entries {
+            let path = entry.map_err(Error::io("read", &self.folder))?.path();
+            let epoch = path
+                .file_name()
+                .and_then(|name| name.to_str()?.strip_prefix("epoch-"))
+                .and_then(|name| name.strip_suffix(".safetensors")?.parse::<u32>().ok());
+            if epoch.is_some_and(|epoch| epoch < first) {
+                std::fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+            }
+        }
+        Ok(())
+    }
+
     /// Creates the folder.
     ///
     /// # Errors

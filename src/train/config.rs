@@ -46,6 +46,44 @@ pub enum Schedule {
     Cosine,
 }
 
+/// What turns gradients into steps.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OptimizerKind {
+    /// Adam, as in the paper; weight decay is added to the gradient.
+    #[default]
+    Adam,
+    /// Adam with decoupled weight decay.
+    AdamW,
+    /// Stochastic gradient descent with Nesterov momentum; wants a learning rate of about 0.01.
+    Sgd,
+}
+
+/// What the best epoch of the detector is best by.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum DetectorMerit {
+    /// Mean average precision over IoU 0.50 to 0.95.
+    #[default]
+    #[serde(rename = "map50_95")]
+    Map50To95,
+    /// Mean average precision at IoU 0.50.
+    #[serde(rename = "map50")]
+    Map50,
+}
+
+/// What the best epoch of the distance network is best by; the smallest is best.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DistanceMerit {
+    /// Mean relative error.
+    #[default]
+    Mre,
+    /// Mean absolute error.
+    Mae,
+    /// Root mean squared error.
+    Rmse,
+}
+
 /// Settings of the detector's training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -61,7 +99,10 @@ pub struct DetectorTraining {
     pub batch: usize,
     /// Images per forward pass; gradients are accumulated to the batch. Less saves memory.
     pub micro_batch: usize,
-    /// Adam's learning rate.
+    /// What turns gradients into steps.
+    #[serde(default)]
+    pub optimizer: OptimizerKind,
+    /// Its learning rate.
     pub learning_rate: f64,
     /// Last learning rate as a share of the first.
     pub final_learning_rate: f64,
@@ -79,6 +120,25 @@ pub struct DetectorTraining {
     pub ema_ramp: f64,
     /// Validate every so many epochs; the last one always is.
     pub validate_every: u32,
+    /// Stop after so many epochs without a better validation result; 0 never stops early.
+    #[serde(default)]
+    pub patience: u32,
+    /// What the best epoch is best by.
+    #[serde(default)]
+    pub best_by: DetectorMerit,
+    /// Weights of so many last epochs are kept, each in a file of its own; 0 keeps only the last
+    /// and the best.
+    #[serde(default)]
+    pub keep_last: u32,
+    /// Probability that an image is a mosaic of four.
+    #[serde(default)]
+    pub mosaic: f64,
+    /// Last epochs without mosaics.
+    #[serde(default)]
+    pub close_mosaic: u32,
+    /// Largest change of the input's size from batch to batch, as a share; 0 keeps it.
+    #[serde(default)]
+    pub multi_scale: f64,
     /// Largest change of hue, saturation and value, as shares.
     pub hsv: [f64; 3],
     /// Largest change of size, as a share.
@@ -90,6 +150,9 @@ pub struct DetectorTraining {
     /// Weights to start from: safetensors with the published names.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights: Option<PathBuf>,
+    /// Parts that are not trained: `backbone`, `neck`, `head`, or single layers as `model.0`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub freeze: Vec<String>,
 }
 
 /// Settings of the distance network's training.
@@ -107,7 +170,10 @@ pub struct DistanceTraining {
     pub batch: usize,
     /// Composites per forward pass; gradients are accumulated to the batch. Less saves memory.
     pub micro_batch: usize,
-    /// Adam's learning rate.
+    /// What turns gradients into steps.
+    #[serde(default)]
+    pub optimizer: OptimizerKind,
+    /// Its learning rate.
     pub learning_rate: f64,
     /// Last learning rate as a share of the first.
     pub final_learning_rate: f64,
@@ -133,6 +199,22 @@ pub struct DistanceTraining {
     pub ema_ramp: f64,
     /// Validate every so many epochs; the last one always is.
     pub validate_every: u32,
+    /// Stop after so many epochs without a better validation result; 0 never stops early.
+    #[serde(default)]
+    pub patience: u32,
+    /// What the best epoch is best by.
+    #[serde(default)]
+    pub best_by: DistanceMerit,
+    /// Weights of so many last epochs are kept, each in a file of its own; 0 keeps only the last
+    /// and the best.
+    #[serde(default)]
+    pub keep_last: u32,
+    /// Weights to start from, as training writes them; their composite's size must be the same.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weights: Option<PathBuf>,
+    /// Parts that are not trained: `blocks`, single ones as `blocks.0`, `fc1`, `fc2`, `out`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub freeze: Vec<String>,
 }
 
 impl TrainConfig {
@@ -224,6 +306,8 @@ impl TrainConfig {
                 f64::from(detector.validate_every),
                 1.0..=1e6,
             ),
+            ("detector.mosaic", detector.mosaic, share.clone()),
+            ("detector.multi_scale", detector.multi_scale, 0.0..=0.9),
             ("detector.hsv hue", detector.hsv[0], share.clone()),
             ("detector.hsv saturation", detector.hsv[1], share.clone()),
             ("detector.hsv value", detector.hsv[2], share.clone()),

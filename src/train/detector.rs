@@ -4,13 +4,14 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_dataset::Dataset as _;
+use rand::RngExt as _;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-use super::augment::{DetectionAugment, augmented_letterbox};
-use super::config::{DetectorTraining, TrainConfig};
+use super::augment::{DetectionAugment, Scene, augmented_letterbox, augmented_mosaic};
+use super::config::{DetectorMerit, DetectorTraining, TrainConfig};
 use super::log::EpochRow;
-use super::optimizer::scalar;
+use super::optimizer::{freeze, scalar};
 use super::stage::{PassLoss, Recipe, Steering};
 use crate::dataset::{DetectionItem, DetectionSource, Split, StereoDataset};
 use crate::detector::decode::Anchors;
@@ -22,6 +23,15 @@ use crate::evaluate::detection_metrics;
 use crate::geometry::letterbox::Size;
 use crate::progress::Progress;
 use crate::weights::StateDict;
+
+/// Sides of the input are multiples of it, pixels.
+const LARGEST_STRIDE: u32 = 32;
+/// Layers with weights, by part.
+const BACKBONE: [u32; 11] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10];
+const NECK: [u32; 6] = [13, 16, 17, 19, 20, 22];
+const HEAD: [u32; 1] = [23];
+/// Random numbers of the input's size, apart from those of the images.
+const SIZE_STREAM: u64 = 1;
 
 /// Training images, augmentation and loss of the detector.
 pub struct DetectorRecipe {
@@ -83,8 +93,10 @@ impl DetectorRecipe {
     pub fn model(&self, progress: &dyn Progress) -> Result<Yolo11> {
         let classes = self.header.classes.len();
         self.device.seed(self.seed);
+        let frozen = frozen_layers(&self.settings.freeze)?;
         let Some(path) = &self.settings.weights else {
-            return Ok(Yolo11Config::new(self.settings.scale, classes).init(&self.device));
+            let fresh = Yolo11Config::new(self.settings.scale, classes).init(&self.device);
+            return freeze(fresh, "detector.freeze", &frozen);
         };
         let state = StateDict::load(path)?;
         let (model, report) = load_detector(&state, self.settings.scale, classes, &self.device)?;
@@ -102,7 +114,7 @@ impl DetectorRecipe {
                 report.classes_in_file
             ));
         }
-        Ok(model)
+        freeze(model, "detector.freeze", &frozen)
     }
 
     /// The numbers that steer the stage.
@@ -120,8 +132,66 @@ impl DetectorRecipe {
             clip_norm: Some(settings.clip_norm),
             average: Some((settings.ema_decay, settings.ema_ramp)),
             validate_every: settings.validate_every,
+            patience: settings.patience,
+            keep_last: settings.keep_last,
             settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }).to_string(),
         }
+    }
+
+    /// The size of a pass's input; with `multi_scale` it is another one from pass to pass.
+    fn input_size(&self, epoch: u32, items: &[usize]) -> Size {
+        if self.settings.multi_scale <= 0.0 {
+            return self.input;
+        }
+        let first = items.first().copied().unwrap_or_default();
+        let mut random = self.random(epoch, first, SIZE_STREAM);
+        let factor = 1.0 + self.settings.multi_scale * random.random_range(-1.0..1.0);
+        let side = |side: u32| {
+            let stride = f64::from(LARGEST_STRIDE);
+            ((f64::from(side) * factor / stride).round().max(1.0) * stride) as u32
+        };
+        Size::new(side(self.input.width), side(self.input.height))
+    }
+
+    /// Random numbers that depend on nothing but seed, epoch, item and purpose.
+    fn random(&self, epoch: u32, item: usize, purpose: u64) -> Pcg64 {
+        let stream = (u128::from(epoch) << 64) | item as u128;
+        Pcg64::new(u128::from(self.seed) | (u128::from(purpose) << 64), stream)
+    }
+
+    /// Writes an augmented image into its planes.
+    fn augmented(
+        &self,
+        epoch: u32,
+        item: usize,
+        input: Size,
+        planes: &mut [f32],
+    ) -> Result<ImageTargets> {
+        let settings = &self.settings;
+        let augment = DetectionAugment {
+            hsv: settings.hsv,
+            zoom: settings.zoom,
+            shift: settings.shift,
+            flip: settings.flip,
+        };
+        let mut random = self.random(epoch, item, 0);
+        let with_mosaics = epoch + settings.close_mosaic < settings.epochs;
+        if settings.mosaic > 0.0 && with_mosaics && random.random_bool(settings.mosaic) {
+            let count = self.train.len();
+            let others = [(); 3].map(|()| random.random_range(0..count));
+            let [a, b, c] = others.map(|other| self.item(other));
+            let items = [self.item(item)?, a?, b?, c?];
+            let scenes = items.each_ref().map(scene);
+            return Ok(augmented_mosaic(
+                scenes,
+                input,
+                &augment,
+                &mut random,
+                planes,
+            ));
+        }
+        let item = self.item(item)?;
+        augmented_letterbox(scene(&item), input, &augment, &mut random, planes)
     }
 
     fn item(&self, item: usize) -> Result<DetectionItem> {
@@ -138,6 +208,15 @@ impl DetectorRecipe {
 pub struct LetterboxedBatch {
     planes: Vec<f32>,
     targets: Vec<ImageTargets>,
+    input: Size,
+}
+
+fn scene(item: &DetectionItem) -> Scene<'_> {
+    Scene {
+        image: &item.image,
+        boxes: &item.boxes,
+        ignored: &item.ignored,
+    }
 }
 
 impl Recipe for DetectorRecipe {
@@ -157,46 +236,34 @@ impl Recipe for DetectorRecipe {
     }
 
     fn load(&self, epoch: u32, items: &[usize]) -> Result<LetterboxedBatch> {
-        let augment = DetectionAugment {
-            hsv: self.settings.hsv,
-            zoom: self.settings.zoom,
-            shift: self.settings.shift,
-            flip: self.settings.flip,
-        };
-        let area = self.input.area();
+        let input = self.input_size(epoch, items);
+        let area = input.area();
         let mut planes = vec![0.0; items.len() * 3 * area];
         let targets = planes
             .par_chunks_exact_mut(3 * area)
             .zip(items)
-            .map(|(planes, &index)| {
-                let item = self.item(index)?;
-                let stream = (u128::from(epoch) << 64) | index as u128;
-                let mut random = Pcg64::new(u128::from(self.seed), stream);
-                augmented_letterbox(
-                    &item.image,
-                    &item.boxes,
-                    &item.ignored,
-                    self.input,
-                    &augment,
-                    &mut random,
-                    planes,
-                )
-            })
+            .map(|(planes, &item)| self.augmented(epoch, item, input, planes))
             .collect::<Result<Vec<_>>>()?;
-        Ok(LetterboxedBatch { planes, targets })
+        Ok(LetterboxedBatch {
+            planes,
+            targets,
+            input,
+        })
     }
 
     fn loss(&self, model: &Yolo11, batch: LetterboxedBatch, _: f64) -> Result<PassLoss> {
-        let LetterboxedBatch { planes, targets } = batch;
-        let shape = [
-            targets.len(),
-            3,
-            self.input.height as usize,
-            self.input.width as usize,
-        ];
-        let input = Tensor::<4>::from_data(TensorData::new(planes, shape), &self.device);
-        let output = model.forward(input).flatten();
-        let loss = detection_loss(&output, &targets, &self.anchors, LossGains::default())?;
+        let LetterboxedBatch {
+            planes,
+            targets,
+            input,
+        } = batch;
+        let [height, width] = [input.height as usize, input.width as usize];
+        let planes = TensorData::new(planes, [targets.len(), 3, height, width]);
+        let tensor = Tensor::<4>::from_data(planes, &self.device);
+        let output = model.forward(tensor).flatten();
+        let resized = (input != self.input).then(|| Anchors::new(height, width));
+        let anchors = resized.as_ref().unwrap_or(&self.anchors);
+        let loss = detection_loss(&output, &targets, anchors, LossGains::default())?;
         let terms = loss.items.iter().map(scalar).collect::<Result<Vec<_>>>()?;
         // The batch size times the terms: summed over passes, as in one large batch.
         Ok(PassLoss {
@@ -224,7 +291,10 @@ impl Recipe for DetectorRecipe {
         row.recall = Some(summary.recall);
         row.map50 = Some(summary.map50);
         row.map50_95 = Some(summary.map50_95);
-        Ok(Some(summary.map50_95))
+        Ok(Some(match self.settings.best_by {
+            DetectorMerit::Map50To95 => summary.map50_95,
+            DetectorMerit::Map50 => summary.map50,
+        }))
     }
 
     fn describe(&self, row: &EpochRow) -> String {
@@ -238,5 +308,65 @@ impl Recipe for DetectorRecipe {
 
     fn save(&self, model: &Yolo11, path: &Path) -> Result<()> {
         VehicleDetector::save(model, &self.header, path)
+    }
+}
+
+/// The module paths of the parts that a setting names.
+fn frozen_layers(parts: &[String]) -> Result<Vec<String>> {
+    let layers = |numbers: &[u32]| numbers.iter().map(|n| format!("layer{n}")).collect();
+    let mut paths = Vec::new();
+    for part in parts {
+        let named: Vec<String> = match part.as_str() {
+            "backbone" => layers(&BACKBONE),
+            "neck" => layers(&NECK),
+            "head" => layers(&HEAD),
+            _ => {
+                let number = part.strip_prefix("model.").and_then(|n| n.parse().ok());
+                let known = number.filter(|n| [&BACKBONE[..], &NECK, &HEAD].concat().contains(n));
+                let Some(number) = known else {
+                    return Err(Error::value(
+                        format!("detector.freeze: {part}"),
+                        "the detector has no such part",
+                        "give some of backbone, neck, head, or layers with weights as model.0",
+                    ));
+                };
+                layers(&[number])
+            }
+        };
+        paths.extend(named);
+    }
+    Ok(paths)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_frozen_by_name_and_an_unknown_one_is_refused() {
+        let names = |parts: &[&str]| {
+            let parts: Vec<String> = parts.iter().map(|&part| part.to_owned()).collect();
+            frozen_layers(&parts)
+        };
+        assert_eq!(names(&["head", "model.0"]).unwrap(), ["layer23", "layer0"]);
+        for unknown in ["tail", "model.11", "model.99", "layer0"] {
+            let message = names(&[unknown]).unwrap_err().to_string();
+            assert!(message.contains(unknown), "{message}");
+        }
+    }
+
+    #[test]
+    fn frozen_layers_have_no_gradient_and_the_others_do() {
+        let device = Device::flex().autodiff();
+        let network = Yolo11Config::new(crate::detector::Scale::N, 1).init(&device);
+        let frozen = frozen_layers(&["backbone".to_owned()]).unwrap();
+        let network = freeze(network, "detector.freeze", &frozen).unwrap();
+        assert!(!network.layer0.conv.weight.val().is_require_grad());
+        assert!(network.layer16.cv1.conv.weight.val().is_require_grad());
+        let moved = network.layer1.conv.weight.val().is_require_grad();
+        assert!(
+            !moved,
+            "layer1 is not layer1x, and both are in the backbone"
+        );
     }
 }

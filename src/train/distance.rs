@@ -12,10 +12,10 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
 use super::augment::mirror_composite;
-use super::config::{DistanceTraining, TrainConfig};
+use super::config::{DistanceMerit, DistanceTraining, TrainConfig};
 use super::log::EpochRow;
 use super::normalize::normalize_layers;
-use super::optimizer::{initialize, scalar};
+use super::optimizer::{freeze, initialize, scalar};
 use super::readout::fit_readout;
 use super::stage::{PassLoss, Recipe, Steering};
 use crate::dataset::{
@@ -125,10 +125,15 @@ impl DistanceRecipe {
     pub fn model(&self, progress: &dyn Progress) -> Result<RangingNetwork> {
         self.device.seed(self.seed);
         let device = self.device.clone().without_autodiff();
+        let freeze_named = |network| freeze(network, "distance.freeze", &self.settings.freeze);
+        if let Some(path) = &self.settings.weights {
+            let network = self.given_weights(path, &device)?;
+            return freeze_named(network.train());
+        }
         let network = RangingConfig::for_size(self.settings.composite).init(&device)?;
         initialize(&network);
         if !self.settings.fit_start {
-            return Ok(network.train());
+            return freeze_named(network.train());
         }
         progress.begin("distance, first weights", self.train.len() as u64);
         // Evenly over the data: neighbours show the same scene.
@@ -155,7 +160,31 @@ impl DistanceRecipe {
             progress.advance(vehicles.len() as u64);
         }
         progress.end();
-        Ok(fit_readout(network, &rows, &outputs).train())
+        freeze_named(fit_readout(network, &rows, &outputs).train())
+    }
+
+    /// The network to go on from; it must see the same composites and mean the same by its output.
+    fn given_weights(&self, path: &Path, device: &Device) -> Result<RangingNetwork> {
+        let (network, header) = DistanceEstimator::read(path, device)?;
+        let (given, wanted) = (&header, &self.header);
+        let refuse = |what: &str, given: String, setting: String| {
+            Err(Error::weights(
+                path,
+                format!("was trained with {what} {given}"),
+                format!("train with {setting}, or start from other weights"),
+            ))
+        };
+        if given.composite != wanted.composite {
+            let size = given.composite.to_string();
+            let setting = format!("--composite {size}");
+            return refuse("composites of", size, setting);
+        }
+        if given.readout != wanted.readout {
+            let readout = format!("{:?}", given.readout).to_lowercase();
+            let setting = format!("distance.readout = \"{readout}\"");
+            return refuse("the readout", readout, setting);
+        }
+        Ok(network)
     }
 
     /// The numbers that steer the stage.
@@ -174,6 +203,8 @@ impl DistanceRecipe {
             average: (settings.ema_decay > 0.0)
                 .then_some((settings.ema_decay, settings.ema_ramp)),
             validate_every: settings.validate_every,
+            patience: settings.patience,
+            keep_last: settings.keep_last,
             settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }).to_string(),
         }
     }
@@ -368,7 +399,11 @@ impl Recipe for DistanceRecipe {
         row.mae_m = Some(summary.mae_m);
         row.rmse_m = Some(summary.rmse_m);
         row.mre_percent = Some(summary.mre_percent);
-        Ok(Some(-summary.mre_percent))
+        Ok(Some(-match self.settings.best_by {
+            DistanceMerit::Mre => summary.mre_percent,
+            DistanceMerit::Mae => summary.mae_m,
+            DistanceMerit::Rmse => summary.rmse_m,
+        }))
     }
 
     fn describe(&self, row: &EpochRow) -> String {

@@ -13,6 +13,9 @@ mod run;
 mod stage;
 
 pub use checkpoint::{StageFolder, StageState};
-pub use config::{DetectorTraining, DistanceTraining, Schedule, TrainConfig};
+pub use config::{
+    DetectorMerit, DetectorTraining, DistanceMerit, DistanceTraining, OptimizerKind, Schedule,
+    TrainConfig,
+};
 pub use log::{EpochRow, RunLog};
 pub use run::{Stage, TrainRequest, TrainSummary, saved_config, train};

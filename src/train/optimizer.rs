@@ -3,43 +3,142 @@
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamGroup};
 use burn::optim::decay::WeightDecayConfig;
-use burn::optim::{AdamConfig, GradientsParams, ModuleOptimizer};
+use burn::optim::momentum::MomentumConfig;
+use burn::optim::{AdamConfig, AdamWConfig, GradientsParams, ModuleOptimizer, SgdConfig};
 use burn::tensor::Tensor;
 
-use super::config::Schedule;
+use super::config::{OptimizerKind, Schedule};
 use crate::error::{Error, Result};
 
 /// Adam's guard against division by zero.
 const ADAM_EPSILON: f32 = 1e-8;
 
-/// Adam as YOLO11 is trained with: moments decay at 0.937 and 0.999, and `weight_decay` is added to
-/// the gradient of convolution weights, not to that of normalisation and biases.
+/// Adam's first decay rate, or the momentum, with which YOLO11 is trained.
+const DETECTOR_MOMENTUM: f64 = 0.937;
+/// The usual one, with which the paper's network is trained.
+const DISTANCE_MOMENTUM: f64 = 0.9;
+
+/// The detector's optimiser: moments decay at 0.937 and 0.999 (Adam), the momentum is 0.937 (SGD),
+/// and weight decay reaches convolution weights, not normalisation and biases.
 ///
 /// # Errors
 /// Never in practice: the group's pattern is constant.
-pub fn detector_optimizer(weight_decay: f64) -> Result<ModuleOptimizer> {
-    let adam = AdamConfig::new()
-        .with_beta_1(0.937)
-        .with_beta_2(0.999)
-        .with_epsilon(ADAM_EPSILON);
-    let decay = WeightDecayConfig::new(weight_decay as f32);
+pub fn detector_optimizer(kind: OptimizerKind, weight_decay: f64) -> Result<ModuleOptimizer> {
     let plain = ParamGroup::from_regex(r"(gamma|beta|bias)$").map_err(|source| {
         Error::training(
             format!("the parameter groups do not compile: {source:?}"),
             "report this as a defect",
         )
     })?;
-    let decayed = adam.clone().with_weight_decay(Some(decay)).init();
-    Ok(decayed.with_group(plain, adam.build(), None))
+    let optimizer = optimizer(kind, DETECTOR_MOMENTUM, weight_decay);
+    Ok(match kind {
+        OptimizerKind::Adam => optimizer.with_group(plain, adam(DETECTOR_MOMENTUM).build(), None),
+        OptimizerKind::AdamW => {
+            optimizer.with_group(plain, adam_w(DETECTOR_MOMENTUM, 0.0).build(), None)
+        }
+        OptimizerKind::Sgd => optimizer.with_group(plain, sgd(DETECTOR_MOMENTUM).build(), None),
+    })
 }
 
-/// Adam as the paper trains the distance network: the usual decay rates, 0.9 and 0.999.
-pub fn distance_optimizer() -> ModuleOptimizer {
+/// The distance network's optimiser: moments decay at 0.9 and 0.999 as in the paper (Adam), the
+/// momentum is 0.9 (SGD), and nothing decays the weights.
+pub fn distance_optimizer(kind: OptimizerKind) -> ModuleOptimizer {
+    optimizer(kind, DISTANCE_MOMENTUM, 0.0)
+}
+
+fn optimizer(kind: OptimizerKind, momentum: f64, weight_decay: f64) -> ModuleOptimizer {
+    // Decay that is not there costs nothing, and adds nothing to a gradient.
+    let decay = (weight_decay > 0.0).then(|| WeightDecayConfig::new(weight_decay as f32));
+    match kind {
+        OptimizerKind::Adam => adam(momentum).with_weight_decay(decay).init(),
+        OptimizerKind::AdamW => adam_w(momentum, weight_decay).init(),
+        OptimizerKind::Sgd => sgd(momentum).with_weight_decay(decay).init(),
+    }
+}
+
+fn adam(momentum: f64) -> AdamConfig {
     AdamConfig::new()
-        .with_beta_1(0.9)
+        .with_beta_1(momentum as f32)
         .with_beta_2(0.999)
         .with_epsilon(ADAM_EPSILON)
-        .init()
+}
+
+fn adam_w(momentum: f64, weight_decay: f64) -> AdamWConfig {
+    AdamWConfig::new()
+        .with_beta_1(momentum as f32)
+        .with_beta_2(0.999)
+        .with_epsilon(ADAM_EPSILON)
+        .with_weight_decay(weight_decay as f32)
+}
+
+/// With Nesterov's momentum and without the dampening that Burn adds.
+fn sgd(momentum: f64) -> SgdConfig {
+    SgdConfig::new().with_momentum(Some(MomentumConfig {
+        momentum,
+        dampening: 0.0,
+        nesterov: true,
+    }))
+}
+
+/// Freezes every parameter whose module path starts with one of the names, running statistics
+/// included.
+///
+/// # Errors
+/// A name that fits no parameter.
+pub fn freeze<M: Module>(module: M, setting: &str, names: &[String]) -> Result<M> {
+    let mut module = module;
+    for name in names {
+        let pattern = format!("^{}(\\.|$)", name.replace('.', "\\."));
+        let group = ParamGroup::from_regex(&pattern);
+        let paths = parameter_paths(&module);
+        let fits = |path: &String| path.strip_prefix(name.as_str()).is_some_and(is_boundary);
+        let group = match group {
+            Ok(group) if paths.iter().any(fits) => group,
+            _ => {
+                let mut parts: Vec<&str> = paths
+                    .iter()
+                    .filter_map(|path| path.split('.').next())
+                    .collect();
+                parts.dedup();
+                return Err(Error::value(
+                    format!("{setting}: {name}"),
+                    "there is no such part",
+                    format!("give some of {}", parts.join(", ")),
+                ));
+            }
+        };
+        module = module.freeze_group(group);
+    }
+    Ok(module)
+}
+
+fn is_boundary(rest: &str) -> bool {
+    rest.is_empty() || rest.starts_with('.')
+}
+
+/// The paths of all floating parameters, such as `layer0.conv.weight`.
+fn parameter_paths<M: Module>(module: &M) -> Vec<String> {
+    struct Paths {
+        stack: Vec<String>,
+        found: Vec<String>,
+    }
+    impl ModuleVisitor for Paths {
+        fn visit_float<const D: usize>(&mut self, _: &Param<Tensor<D>>) {
+            self.found.push(self.stack.join("."));
+        }
+        fn enter_module(&mut self, name: &str, _: &str) {
+            self.stack.push(name.to_owned());
+        }
+        fn exit_module(&mut self, _: &str, _: &str) {
+            self.stack.pop();
+        }
+    }
+    let mut paths = Paths {
+        stack: Vec::new(),
+        found: Vec::new(),
+    };
+    module.visit(&mut paths);
+    paths.found
 }
 
 /// Factor of the learning rate after so many epochs (fractions allowed) of `epochs`.

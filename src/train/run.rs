@@ -103,7 +103,10 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
             &recipe,
             &recipe.steering(),
             recipe.model(progress)?,
-            detector_optimizer(request.config.detector.weight_decay)?,
+            detector_optimizer(
+                request.config.detector.optimizer,
+                request.config.detector.weight_decay,
+            )?,
             StagePlace {
                 run: request.run,
                 resume: request.resume,
@@ -121,7 +124,7 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
             &recipe,
             &recipe.steering(),
             recipe.model(progress)?,
-            distance_optimizer(),
+            distance_optimizer(request.config.distance.optimizer),
             StagePlace {
                 run: request.run,
                 resume: request.resume,

@@ -46,8 +46,21 @@ pub struct Steering {
     pub average: Option<(f64, f64)>,
     /// Validate every so many epochs.
     pub validate_every: u32,
+    /// Stop after so many epochs without a better result; 0 never does.
+    pub patience: u32,
+    /// Keep the weights of so many last epochs in files of their own.
+    pub keep_last: u32,
     /// The stage's settings as JSON text, to notice on resuming that they changed.
     pub settings: String,
+}
+
+impl Steering {
+    /// Epochs without a better result, when they are too many.
+    fn epochs_in_vain(&self, state: &StageState) -> Option<u32> {
+        let (_, best) = state.best?;
+        let epochs = state.epoch.saturating_sub(best);
+        (self.patience > 0 && epochs >= self.patience).then_some(epochs)
+    }
 }
 
 /// The loss of one forward pass.
@@ -191,6 +204,14 @@ pub fn run_stage<R: Recipe>(
         progress,
     };
     while state.epoch < steering.epochs {
+        if let Some(epochs) = steering.epochs_in_vain(&state) {
+            progress.note(&format!(
+                "{}: stopped after epoch {}, {epochs} epochs without a better result",
+                R::STAGE,
+                state.epoch
+            ));
+            break;
+        }
         let epoch = state.epoch;
         let mut row = trainer.epoch(&mut model, &mut optimizer, &mut average, &mut state)?;
         state.epoch = epoch + 1;
@@ -221,6 +242,10 @@ pub fn run_stage<R: Recipe>(
         }
         trainer.log.add(row)?;
         recipe.save(&usable, &folder.last())?;
+        if steering.keep_last > 0 {
+            recipe.save(&usable, &folder.of_epoch(state.epoch))?;
+            folder.drop_epochs_before((state.epoch + 1).saturating_sub(steering.keep_last))?;
+        }
         state.ema_updates = average.as_ref().map_or(0, |average| average.updates);
         let shadow = average.as_ref().map(|average| average.module(&model));
         folder.save(&state, &model, shadow, &optimizer)?;
@@ -266,9 +291,7 @@ impl<'a, R: Recipe> Trainer<'a, R> {
             step: state.step,
             learning_rate: sums.learning_rate,
             loss: sums.loss / sums.items.max(1) as f64,
-            gradient_norm: steering
-                .clip_norm
-                .map(|_| sums.gradient_norm / sums.steps.max(1) as f64),
+            gradient_norm: Some(sums.gradient_norm / sums.steps.max(1) as f64),
             images_per_second: sums.items as f64 / started.elapsed().as_secs_f64(),
             ..EpochRow::default()
         };
@@ -348,12 +371,9 @@ impl<'a, R: Recipe> Trainer<'a, R> {
                 let grads = GradientsParams::from_grads(pass.total.backward(), &*model);
                 accumulator.accumulate(model, grads);
             }
-            let mut grads = accumulator.grads();
-            if let Some(longest) = steering.clip_norm {
-                let (clipped, norm) = clip_gradients(model, grads, longest)?;
-                grads = clipped;
-                sums.gradient_norm += norm;
-            }
+            let longest = steering.clip_norm.unwrap_or(f64::INFINITY);
+            let (grads, norm) = clip_gradients(model, accumulator.grads(), longest)?;
+            sums.gradient_norm += norm;
             let rate = self.learning_rate(state.step);
             *model = optimizer.step(rate, model.clone(), grads);
             if let Some(average) = average {
