@@ -9,6 +9,7 @@ mod detection;
 mod distance;
 mod load;
 mod parts;
+mod settings;
 mod training;
 
 use std::path::{Path, PathBuf};
@@ -66,7 +67,7 @@ pub fn report(runs: &[PathBuf], out: &Path) -> Result<Vec<String>> {
             sections.push(evaluation_section(run, evaluation)?);
         }
     }
-    sections.push(load::settings(&runs));
+    sections.push(settings::section(&runs));
     let content = Page {
         title: names.join(", "),
         facts: vec![

@@ -266,7 +266,7 @@ fn by_group(of: &Evaluated, grouping: Grouping) -> Result<Option<Chart>> {
         .iter()
         .map(|&boxes| {
             let rows = rows(&of.evaluation.tables, grouping, boxes)
-                .filter(|row| row.method == Method::Network);
+                .filter(|row| row.method == Method::Network && row.vehicles > 0);
             (
                 color(boxes as usize),
                 boxes.name().to_owned(),
@@ -293,7 +293,7 @@ fn methods_by_distance(of: &Evaluated) -> Result<Option<Chart>> {
         .iter()
         .map(|&method| {
             let rows = rows(&of.evaluation.tables, Grouping::Distance, Boxes::True)
-                .filter(|row| row.method == method);
+                .filter(|row| row.method == method && row.vehicles > 0);
             (
                 color(method as usize),
                 method.name().to_owned(),
@@ -306,6 +306,7 @@ fn methods_by_distance(of: &Evaluated) -> Result<Option<Chart>> {
     bars(of, title, "true distance, m", &series)
 }
 
+/// Groups in which vehicles were only made up have no error to draw.
 fn bars(
     of: &Evaluated,
     title: &str,
@@ -362,15 +363,13 @@ fn protocol(section: &mut Section, of: &Evaluated) {
         return;
     };
     section.heading("The paper's test");
-    section.notes.extend(protocol.missing.first().map(|_| {
-        format!(
-            "Of the paper's 108 test frames this split holds {}; those that it lacks are listed in {}. \
-             {} frames at other distances have rows of their own.",
-            protocol.cells,
-            of.file("protocol_missing.csv"),
-            protocol.other_frames
-        )
-    }));
+    let missing = format!(
+        "Of the paper's 108 test frames this split holds {}; those that it lacks are listed in {}. {} \
+         frames at other distances have rows of their own.",
+        protocol.cells,
+        of.file("protocol_missing.csv"),
+        protocol.other_frames
+    );
     for boxes in Boxes::ALL {
         let mut table = Table::new(
             &format!("Mean estimate by sun, {}", boxes.name()),
@@ -391,6 +390,9 @@ fn protocol(section: &mut Section, of: &Evaluated) {
             ],
             of.file("protocol.csv"),
         );
+        if boxes == Boxes::True && !protocol.missing.is_empty() {
+            table.note.clone_from(&missing);
+        }
         let is_shown = |row: &&ProtocolRow| row.boxes == boxes && row.frames > 0;
         for row in protocol.rows.iter().filter(is_shown) {
             table.rows.push(protocol_cells(row).to_vec());

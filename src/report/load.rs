@@ -120,19 +120,6 @@ impl Evaluated {
     }
 }
 
-/// The settings of every run.
-pub(super) fn settings(runs: &[Run]) -> Section {
-    let mut section = Section::new("Settings");
-    for run in runs {
-        section.blocks.push(Block::Text {
-            title: run.name.clone(),
-            text: run.config.clone(),
-            source: run.file("config.json"),
-        });
-    }
-    section
-}
-
 /// The last part of a path; the whole path where it has none.
 fn name_of(folder: &Path) -> String {
     let path = folder
