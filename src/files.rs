@@ -39,6 +39,15 @@ pub fn write_atomically(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
+/// Length and check sum of a file's content, to notice later that it was damaged.
+///
+/// # Errors
+/// [`Error::Io`] naming the file.
+pub fn content_mark(path: impl AsRef<Path>) -> Result<String> {
+    let bytes = fs::read(&path).map_err(Error::io("read", &path))?;
+    Ok(format!("{} {:08x}", bytes.len(), crc32fast::hash(&bytes)))
+}
+
 /// Creates a folder and its parents; an existing folder is fine.
 ///
 /// # Errors

@@ -10,7 +10,7 @@ use twinsight::detector::Scale;
 use twinsight::device::DeviceName;
 use twinsight::generate::{GenerateConfig, generate};
 use twinsight::progress::Progress;
-use twinsight::train::{Stage, StageFolder, TrainConfig, TrainRequest, TrainSummary, train};
+use twinsight::train::{Stage, StageFolder, TrainConfig, TrainRequest, TrainSummary, plan, train};
 use twinsight::{Error, Result, files};
 
 use super::generate::summary as dataset_summary;
@@ -48,6 +48,10 @@ pub struct TrainArgs {
     /// Go on with a run that was stopped
     #[arg(long)]
     resume: bool,
+    /// Train nothing: say how many steps, how long and how much memory it would take, measured on
+    /// a few steps
+    #[arg(long, conflicts_with = "resume")]
+    dry_run: bool,
     #[command(flatten)]
     overrides: Overrides,
 }
@@ -89,6 +93,9 @@ struct Overrides {
     /// Detector weights to start from: safetensors with the published names
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
+    /// Distance weights to start from: those that a training wrote
+    #[arg(long, value_name = "FILE")]
+    distance_weights: Option<PathBuf>,
 }
 
 const EXAMPLES: &str = "\
@@ -144,6 +151,9 @@ impl TrainArgs {
     pub fn run(&self, quiet: bool) -> Result<()> {
         let config = self.resolve()?;
         let (data, run) = (self.data(), self.run_folder());
+        if self.dry_run {
+            return self.dry_run(quiet, &config, &data, &run);
+        }
         self.check(&config, &run)?;
         let summary = terminal::with_progress(quiet, |progress| {
             if self.data.is_none() {
@@ -160,6 +170,32 @@ impl TrainArgs {
             train(&request, progress)
         })?;
         stdout::print(&self.report(&summary, &config, &data, &run))
+    }
+
+    /// Says what the training would take.
+    fn dry_run(&self, quiet: bool, config: &TrainConfig, data: &Path, run: &Path) -> Result<()> {
+        if self.data.is_none() && !data.join("dataset.toml").exists() {
+            return Err(Error::dataset(
+                data,
+                "is not there yet, so its training cannot be measured",
+                format!(
+                    "make it first: {} generate --preset {} --out {}",
+                    program(),
+                    self.preset,
+                    quoted(data)
+                ),
+            ));
+        }
+        let request = TrainRequest {
+            config,
+            data,
+            run,
+            stage: self.stage.stage(),
+            resume: false,
+            device: self.device,
+        };
+        let plan = terminal::with_progress(quiet, |progress| plan(&request, progress))?;
+        stdout::print(&format!("{plan}\n"))
     }
 
     /// The settings of the preset, the file and the options together.
@@ -216,7 +252,10 @@ impl TrainArgs {
             }
         }
         self.device.open()?;
-        if let Some(weights) = &config.detector.weights {
+        for weights in [&config.detector.weights, &config.distance.weights]
+            .into_iter()
+            .flatten()
+        {
             fs::File::open(weights).map_err(Error::io("read", weights))?;
         }
         files::create_folder(run)
@@ -323,15 +362,19 @@ impl Overrides {
                 set(&mut table, section, "epochs", i64::from(epochs));
             }
         }
-        if let Some(weights) = &self.weights {
+        for (section, weights) in [
+            ("detector", &self.weights),
+            ("distance", &self.distance_weights),
+        ] {
+            let Some(weights) = weights else { continue };
             let Some(path) = weights.to_str() else {
                 return Err(Error::value(
-                    format!("--weights {}", weights.display()),
+                    format!("weights {}", weights.display()),
                     "the name is not Unicode",
                     "rename the file",
                 ));
             };
-            set(&mut table, "detector", "weights", path);
+            set(&mut table, section, "weights", path);
         }
         Ok(table)
     }

@@ -6,6 +6,7 @@
 
 mod composite;
 mod composite_set;
+mod fingerprint;
 #[cfg(test)]
 pub(crate) mod fixture;
 mod format;

@@ -1,5 +1,6 @@
 //! Saving and resuming a stage of training.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use burn::module::Module;
@@ -9,6 +10,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::files;
+
+/// What resuming needs beside the state itself.
+const RESUME_FILES: [&str; 3] = ["model.bpk", "average.bpk", "optimizer.bpk"];
 
 /// How far a stage is.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -21,6 +25,9 @@ pub struct StageState {
     pub ema_updates: u64,
     /// Best validation result so far and its epoch.
     pub best: Option<(f64, u32)>,
+    /// Length and check sum of the files beside this one.
+    #[serde(default)]
+    pub files: BTreeMap<String, String>,
     /// The settings of the stage as JSON text, to notice that they changed. Text, because numbers
     /// that are parsed and compared again may differ in their last bit.
     pub settings: String,
@@ -119,7 +126,15 @@ impl StageFolder {
         }
         let path = fresh.join("optimizer.bpk");
         optimizer.save(&path).map_err(broken(&path))?;
-        let json = serde_json::to_vec_pretty(state).map_err(|source| {
+        let mut state = state.clone();
+        for name in RESUME_FILES {
+            let path = fresh.join(name);
+            if path.exists() {
+                let mark = files::content_mark(&path)?;
+                state.files.insert(name.to_owned(), mark);
+            }
+        }
+        let json = serde_json::to_vec_pretty(&state).map_err(|source| {
             Error::training(
                 format!("cannot encode the state: {source}"),
                 "report this as a defect",
@@ -160,6 +175,16 @@ impl StageFolder {
                 format!("{} belongs to a run with other settings", path.display()),
                 "resume with the settings of the run's config.json, or train into another --run",
             ));
+        }
+        for (name, mark) in &state.files {
+            let path = current.join(name);
+            if !path.exists() || files::content_mark(&path)? != *mark {
+                return Err(Error::weights(
+                    path,
+                    "is missing or damaged: it is not what training saved",
+                    "restore it from a copy, or delete the `resume` folder to start the stage afresh",
+                ));
+            }
         }
         Ok(Some(state))
     }

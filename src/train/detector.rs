@@ -10,12 +10,14 @@ use rayon::prelude::*;
 
 use super::augment::{DetectionAugment, Scene, augmented_letterbox, augmented_mosaic};
 use super::config::{DetectorMerit, DetectorTraining, TrainConfig};
-use super::log::EpochRow;
+use super::log::{EpochRow, RunLog};
 use super::optimizer::{freeze, scalar};
 use super::stage::{PassLoss, Recipe, Steering};
+use crate::annotate::{Annotation, annotate_pair};
 use crate::dataset::{DetectionItem, DetectionSource, Split, StereoDataset};
 use crate::detector::decode::Anchors;
 use crate::detector::loss::{ImageTargets, LossGains, detection_loss};
+use crate::detector::nms::NmsConfig;
 use crate::detector::weights::load_detector;
 use crate::detector::{DetectorHeader, VehicleDetector, Yolo11, Yolo11Config, letterbox};
 use crate::error::{Error, Result};
@@ -24,6 +26,8 @@ use crate::geometry::letterbox::Size;
 use crate::progress::Progress;
 use crate::weights::StateDict;
 
+/// Validation images in TensorBoard, at most.
+const SHOWN: usize = 4;
 /// Sides of the input are multiples of it, pixels.
 const LARGEST_STRIDE: u32 = 32;
 /// Layers with weights, by part.
@@ -295,6 +299,40 @@ impl Recipe for DetectorRecipe {
             DetectorMerit::Map50To95 => summary.map50_95,
             DetectorMerit::Map50 => summary.map50,
         }))
+    }
+
+    fn show(&self, model: &Yolo11, log: &mut RunLog, step: u64) -> Result<()> {
+        let detector = VehicleDetector::new(model, self.header.clone(), &self.device);
+        // Evenly over the data: neighbours show the same scene.
+        let stride = self.val.len().div_ceil(SHOWN).max(1);
+        for (number, index) in (0..self.val.len()).step_by(stride).enumerate() {
+            let item = self.val.get(index).map_err(|source| {
+                Error::training(
+                    source.to_string(),
+                    "run `twinsight validate` on the dataset",
+                )
+            })?;
+            let found = detector.detect(&[&item.image], &NmsConfig::prediction())?;
+            let truth = item.boxes.iter().map(|(_, area)| Annotation {
+                left: Some(*area),
+                right: None,
+                text: "true".to_owned(),
+            });
+            let found = found.iter().flatten().map(|detection| Annotation {
+                left: None,
+                right: Some(detection.box_pixel),
+                text: format!("{:.2}", detection.score),
+            });
+            let annotations: Vec<Annotation> = truth.chain(found).collect();
+            let picture = annotate_pair(&item.image, &item.image, &annotations);
+            log.add_picture(
+                Self::STAGE,
+                &format!("validation/true_left_found_right_{number}"),
+                step,
+                &picture,
+            );
+        }
+        Ok(())
     }
 
     fn describe(&self, row: &EpochRow) -> String {

@@ -6,21 +6,22 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor, TensorData};
-use image::RgbImage;
+use image::{Rgb, RgbImage};
 use rand::RngExt as _;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
 use super::augment::mirror_composite;
 use super::config::{DistanceMerit, DistanceTraining, TrainConfig};
-use super::log::EpochRow;
+use super::log::{EpochRow, RunLog};
 use super::normalize::normalize_layers;
 use super::optimizer::{freeze, initialize, scalar};
 use super::readout::fit_readout;
 use super::stage::{PassLoss, Recipe, Steering};
+use crate::annotate::write_text;
 use crate::dataset::{
-    CompositeStatistics, Frame, Split, StereoDataset, StereoLabel, composite_into_planes,
-    geometry_vector, is_prepared, prepare,
+    CompositeSize, CompositeStatistics, Frame, Split, StereoDataset, StereoLabel,
+    composite_into_planes, geometry_vector, is_prepared, prepare,
 };
 use crate::error::{Error, Result};
 use crate::geometry::{PixelBox, StereoRig};
@@ -31,6 +32,8 @@ use crate::ranging::{
     DistanceEstimator, RangingConfig, RangingHeader, RangingNetwork, ranging_loss,
 };
 
+/// Validation composites in TensorBoard, at most.
+const SHOWN: usize = 8;
 /// Composites on which the first weights are normalised, at most.
 const NORMALIZED: usize = 32;
 
@@ -89,6 +92,12 @@ impl DistanceRecipe {
                 .collect()
         };
         let train = vehicles(Split::Train);
+        let device_plain = device.clone().without_autodiff();
+        let given = settings
+            .weights
+            .as_ref()
+            .map(|path| DistanceEstimator::read(path, &device_plain))
+            .transpose()?;
         let statistics = CompositeStatistics::read(&dataset.folder)?.train;
         let Some(normalization) = statistics.filter(|_| !train.is_empty()) else {
             return Err(Error::dataset(
@@ -97,6 +106,8 @@ impl DistanceRecipe {
                 "give a dataset with training frames",
             ));
         };
+        // Given weights go on with the numbers that they were trained with.
+        let normalization = given.map_or(normalization, |(_, header)| header.normalization);
         Ok(Self {
             seed: config.seed,
             device: device.clone().autodiff(),
@@ -282,6 +293,23 @@ impl DistanceRecipe {
         }
     }
 
+    /// Draws normalised planes as a picture, its left edge at a column.
+    fn draw_composite(&self, planes: &[f32], left: u32, picture: &mut RgbImage) {
+        let CompositeSize { height, width } = self.settings.composite;
+        let ChannelStatistics { mean, std } = self.header.normalization;
+        for y in 0..height {
+            for x in 0..width {
+                let pixel = (y * width + x) as usize;
+                let color = std::array::from_fn(|channel| {
+                    let value = planes[channel * (height * width) as usize + pixel];
+                    let value = f64::from(value) * std[channel] + mean[channel];
+                    (value * 255.0).round().clamp(0.0, 255.0) as u8
+                });
+                picture.put_pixel(left + x, y, Rgb(color));
+            }
+        }
+    }
+
     /// Moves the edges of a box as a detector's errors do.
     fn jitter(&self, area: PixelBox, random: &mut Pcg64) -> PixelBox {
         let mut moved = |edge: f64, side: f64| {
@@ -404,6 +432,38 @@ impl Recipe for DistanceRecipe {
             DistanceMerit::Mae => summary.mae_m,
             DistanceMerit::Rmse => summary.rmse_m,
         }))
+    }
+
+    fn show(&self, model: &RangingNetwork, log: &mut RunLog, step: u64) -> Result<()> {
+        let stride = self.val.len().div_ceil(SHOWN).max(1);
+        let some: Vec<Vehicle> = self.val.iter().step_by(stride).cloned().collect();
+        if some.is_empty() {
+            return Ok(());
+        }
+        let loaded = self.composites(&some, None)?;
+        let CompositeSize { height, width } = self.settings.composite;
+        let mut picture = RgbImage::new(width * some.len() as u32, height);
+        for (column, planes) in (0..).zip(loaded.planes.chunks(3 * (height * width) as usize)) {
+            self.draw_composite(planes, column * width, &mut picture);
+        }
+        let device = self.device.clone().without_autodiff();
+        let batch = self.batch(loaded, &device);
+        let estimated = batch
+            .predict(model)
+            .try_into_vec_as::<f64>()
+            .map_err(|source| Error::training(source.to_string(), "try another device"))?;
+        for ((column, vehicle), estimated_m) in (0..).zip(&some).zip(estimated) {
+            let lines = [
+                format!("is {:.1} m", vehicle.label.distance_m),
+                format!("est {estimated_m:.1} m"),
+            ];
+            for (line, text) in (0..).zip(lines) {
+                let corner = [i64::from(column * width) + 4, 4 + 12 * line];
+                write_text(&mut picture, corner, &text, 1, Rgb([255, 255, 0]));
+            }
+        }
+        log.add_picture(Self::STAGE, "validation/composites", step, &picture);
+        Ok(())
     }
 
     fn describe(&self, row: &EpochRow) -> String {

@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use image::RgbImage;
 use serde::{Deserialize, Serialize};
-use tensorboard_rs::summary_writer::SummaryWriter;
+use tensorboard_rs::summary_writer::{FileWriter, SummaryWriter};
 
 use crate::error::{Error, Result};
 use crate::files;
@@ -78,6 +79,8 @@ pub struct RunLog {
     csv: PathBuf,
     rows: Vec<EpochRow>,
     events: SummaryWriter,
+    /// Pictures go through the inner writer, into a file of their own.
+    pictures: FileWriter,
 }
 
 impl RunLog {
@@ -110,6 +113,7 @@ impl RunLog {
             csv,
             rows,
             events: SummaryWriter::new(&folder),
+            pictures: FileWriter::new(folder.join("pictures")),
         })
     }
 
@@ -144,11 +148,91 @@ impl RunLog {
         files::write_atomically(&self.csv, &bytes)
     }
 
+    /// A picture for TensorBoard.
+    pub fn add_picture(&mut self, stage: &str, tag: &str, step: u64, picture: &RgbImage) {
+        let (width, height) = picture.dimensions();
+        // The writer wants rows of RGB pixels and takes the sides as width, height; it then
+        // writes them down the wrong way round.
+        let sides = [3, width as usize, height as usize];
+        let tag = format!("{stage}/{tag}");
+        let mut summary = tensorboard_rs::summary::image(&tag, picture.as_raw(), &sides);
+        for value in summary.mut_value().iter_mut() {
+            value.mut_image().set_width(width.cast_signed());
+            value.mut_image().set_height(height.cast_signed());
+        }
+        let step = usize::try_from(step).unwrap_or(usize::MAX);
+        self.pictures.add_summary(summary, step);
+        self.pictures.flush();
+    }
+
+    /// A histogram of numbers for TensorBoard.
+    pub fn add_histogram(&mut self, stage: &str, tag: &str, step: u64, values: &[f32]) {
+        let Some(histogram) = Histogram::of(values) else {
+            return;
+        };
+        let step = usize::try_from(step).unwrap_or(usize::MAX);
+        self.events.add_histogram_raw(
+            &format!("{stage}/{tag}"),
+            histogram.min,
+            histogram.max,
+            histogram.count,
+            histogram.sum,
+            histogram.sum_squares,
+            &histogram.limits,
+            &histogram.counts,
+            step,
+        );
+    }
+
     /// The loss of single steps, for TensorBoard only.
     pub fn add_step(&mut self, stage: &str, step: u64, loss: f64) {
         let step = usize::try_from(step).unwrap_or(usize::MAX);
         self.events
             .add_scalar(&format!("{stage}/step/loss"), loss as f32, step);
+    }
+}
+
+/// Numbers counted in equal steps between the smallest and the largest.
+#[derive(Debug, PartialEq)]
+struct Histogram {
+    min: f64,
+    max: f64,
+    count: f64,
+    sum: f64,
+    sum_squares: f64,
+    /// Upper limits of the steps, and how many numbers fall into each.
+    limits: Vec<f64>,
+    counts: Vec<f64>,
+}
+
+impl Histogram {
+    const STEPS: usize = 40;
+
+    /// None for no finite numbers.
+    fn of(values: &[f32]) -> Option<Self> {
+        let finite = || {
+            values
+                .iter()
+                .map(|&v| f64::from(v))
+                .filter(|v| v.is_finite())
+        };
+        let min = finite().reduce(f64::min)?;
+        let max = finite().reduce(f64::max)?;
+        let step = ((max - min) / Self::STEPS as f64).max(f64::from(f32::MIN_POSITIVE));
+        let mut counts = vec![0.0; Self::STEPS];
+        for value in finite() {
+            let index = ((value - min) / step) as usize;
+            counts[index.min(Self::STEPS - 1)] += 1.0;
+        }
+        Some(Self {
+            min,
+            max,
+            count: finite().count() as f64,
+            sum: finite().sum(),
+            sum_squares: finite().map(|value| value * value).sum(),
+            limits: (1..=Self::STEPS).map(|i| min + step * i as f64).collect(),
+            counts,
+        })
     }
 }
 
@@ -163,6 +247,20 @@ mod tests {
             loss: 1.5,
             ..EpochRow::default()
         }
+    }
+
+    #[test]
+    fn a_histogram_counts_every_finite_number_once() {
+        let histogram = Histogram::of(&[0.0, 1.0, 1.0, 4.0, f32::NAN]).unwrap();
+        assert_eq!(
+            (histogram.min, histogram.max, histogram.count),
+            (0.0, 4.0, 4.0)
+        );
+        assert_eq!(histogram.counts.iter().sum::<f64>(), 4.0);
+        assert_eq!(histogram.counts[10], 2.0);
+        assert!(Histogram::of(&[f32::NAN]).is_none());
+        let still = Histogram::of(&[2.0; 3]).unwrap();
+        assert_eq!(still.counts[0], 3.0);
     }
 
     #[test]

@@ -5,9 +5,11 @@ mod checkpoint;
 mod config;
 mod detector;
 mod distance;
+mod learner;
 mod log;
 mod normalize;
 pub mod optimizer;
+mod plan;
 mod readout;
 mod run;
 mod stage;
@@ -18,4 +20,5 @@ pub use config::{
     TrainConfig,
 };
 pub use log::{EpochRow, RunLog};
+pub use plan::{StagePlan, TrainPlan, plan};
 pub use run::{Stage, TrainRequest, TrainSummary, saved_config, train};

@@ -201,6 +201,23 @@ impl AveragedWeights {
     }
 }
 
+/// The weights of a module by their paths, biases and normalisation left out.
+///
+/// # Errors
+/// A device that fails.
+pub fn named_weights<M: Module>(module: &M) -> Result<Vec<(String, Vec<f32>)>> {
+    let named = parameter_paths(module).into_iter().zip(flat_values(module));
+    named
+        .filter(|(path, _)| path.ends_with("weight"))
+        .map(|(path, tensor)| {
+            let values = tensor
+                .try_into_vec_as::<f32>()
+                .map_err(|source| Error::training(source.to_string(), "try another device"))?;
+            Ok((path, values))
+        })
+        .collect()
+}
+
 /// Every floating tensor, flattened and free of autodiff, in the order of traversal.
 fn flat_values<M: Module>(module: &M) -> Vec<Tensor<1>> {
     struct Collect(Vec<Tensor<1>>);

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 
 use super::config::TrainConfig;
@@ -71,23 +72,14 @@ pub struct TrainSummary {
 /// # Errors
 /// [`Error::Interrupted`] on the user's wish; otherwise whatever stops it.
 pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSummary> {
-    request.device.check_training()?;
-    let device = request.device.open()?;
-    request.config.validate()?;
-    let mut dataset = StereoDataset::open(request.data)?;
-    if let Some(split) = request.config.split {
-        dataset.resplit(split, request.config.seed)?;
-    }
-    refuse_unlearnable(request, &dataset)?;
-    dataset.check_images(progress)?;
-    for problem in &dataset.problems {
-        progress.note(&format!("left out: {problem}"));
-    }
+    let (dataset, device) = open_dataset(request, progress)?;
     files::create_folder(request.run)?;
+    let fingerprint = dataset.fingerprint()?;
     if request.resume {
         refuse_other_settings(request)?;
+        refuse_changed_data(request, &fingerprint)?;
     }
-    write_config(request, &dataset)?;
+    write_config(request, &dataset, &fingerprint)?;
     let mut log = RunLog::open(request.run)?;
     let mut summary = TrainSummary {
         run: request.run.to_path_buf(),
@@ -147,6 +139,27 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
     Ok(summary)
 }
 
+/// Checks the settings and opens what they name: the dataset, divided as the settings say, and the
+/// device.
+pub(super) fn open_dataset(
+    request: &TrainRequest,
+    progress: &dyn Progress,
+) -> Result<(StereoDataset, Device)> {
+    request.device.check_training()?;
+    let device = request.device.open()?;
+    request.config.validate()?;
+    let mut dataset = StereoDataset::open(request.data)?;
+    if let Some(split) = request.config.split {
+        dataset.resplit(split, request.config.seed)?;
+    }
+    refuse_unlearnable(request, &dataset)?;
+    dataset.check_images(progress)?;
+    for problem in &dataset.problems {
+        progress.note(&format!("left out: {problem}"));
+    }
+    Ok((dataset, device))
+}
+
 /// Refuses, before hours of training, a dataset without the labels that a stage learns from.
 fn refuse_unlearnable(request: &TrainRequest, dataset: &StereoDataset) -> Result<()> {
     let kind = request.config.box_kind;
@@ -187,10 +200,23 @@ fn announce_best<R: Recipe>(result: &StageResult, progress: &dyn Progress) {
 /// # Errors
 /// A `config.json` that cannot be read.
 pub fn saved_config(run: &Path) -> Result<Option<TrainConfig>> {
-    #[derive(Deserialize)]
-    struct Saved {
-        config: TrainConfig,
-    }
+    Ok(saved(run)?.map(|saved| saved.config))
+}
+
+/// What is read back of `config.json`.
+#[derive(Deserialize)]
+struct Saved {
+    config: TrainConfig,
+    #[serde(default)]
+    dataset: SavedDataset,
+}
+
+#[derive(Default, Deserialize)]
+struct SavedDataset {
+    fingerprint: Option<String>,
+}
+
+fn saved(run: &Path) -> Result<Option<Saved>> {
     let path = run.join("config.json");
     if !path.exists() {
         return Ok(None);
@@ -202,7 +228,24 @@ pub fn saved_config(run: &Path) -> Result<Option<TrainConfig>> {
             "restore the file that `train` wrote",
         )
     })?;
-    Ok(Some(saved.config))
+    Ok(Some(saved))
+}
+
+/// Refuses to go on with a dataset that is no longer what the run was started on.
+fn refuse_changed_data(request: &TrainRequest, fingerprint: &str) -> Result<()> {
+    let known = saved(request.run)?.and_then(|saved| saved.dataset.fingerprint);
+    if known.is_none_or(|known| known == fingerprint) {
+        return Ok(());
+    }
+    Err(Error::dataset(
+        request.data,
+        format!(
+            "is no longer the dataset that {} was started on: frames, splits or labels changed",
+            request.run.display()
+        ),
+        "resume with the old dataset, or train on into another --run from this one's weights \
+         (--weights, --distance-weights)",
+    ))
 }
 
 /// Refuses to resume a network under other settings than it was started with, before the run's
@@ -230,14 +273,22 @@ fn refuse_other_settings(request: &TrainRequest) -> Result<()> {
 }
 
 /// `config.json`: the settings and what they were applied to.
-fn write_config(request: &TrainRequest, dataset: &StereoDataset) -> Result<()> {
+fn write_config(request: &TrainRequest, dataset: &StereoDataset, fingerprint: &str) -> Result<()> {
     let config = serde_json::json!({
         "version": env!("CARGO_PKG_VERSION"),
         "config": request.config,
         "stage": request.stage,
         "device": request.device.to_string(),
         "data": request.data,
+        "environment": {
+            "commit": option_env!("TWINSIGHT_COMMIT"),
+            "system": std::env::consts::OS,
+            "processor": std::env::consts::ARCH,
+            "threads": rayon::current_num_threads(),
+            "vector_lanes": crate::kernels::simd::vector_lanes(),
+        },
         "dataset": {
+            "fingerprint": fingerprint,
             "classes": dataset.classes(),
             "rig": dataset.rig(),
             "frames": dataset.frames.len(),

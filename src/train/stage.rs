@@ -6,15 +6,16 @@ use std::thread::Scope;
 use std::time::Instant;
 
 use burn::module::Module;
-use burn::optim::{GradientsAccumulator, GradientsParams, ModuleOptimizer};
+use burn::optim::ModuleOptimizer;
 use burn::tensor::Tensor;
 use burn_dataset::transform::ShuffledDataset;
 use burn_dataset::{Dataset, InMemDataset};
 
 use super::checkpoint::{StageFolder, StageState};
 use super::config::Schedule;
+use super::learner::{Learner, StepError, StepOutcome};
 use super::log::{EpochRow, RunLog};
-use super::optimizer::{AveragedWeights, clip_gradients, initialize, schedule_factor};
+use super::optimizer::{named_weights, schedule_factor};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 
@@ -112,6 +113,12 @@ pub trait Recipe: Sync {
     /// An item that cannot be loaded, or a device that fails.
     fn validate(&self, model: &Self::Model, row: &mut EpochRow) -> Result<Option<f64>>;
 
+    /// Pictures of what an inference copy of the model makes of some validation items.
+    ///
+    /// # Errors
+    /// An item that cannot be loaded, or a device that fails.
+    fn show(&self, model: &Self::Model, log: &mut RunLog, step: u64) -> Result<()>;
+
     /// The validation result of a row in a few words.
     fn describe(&self, row: &EpochRow) -> String;
 
@@ -152,7 +159,7 @@ pub fn run_stage<R: Recipe>(
     recipe: &R,
     steering: &Steering,
     model: R::Model,
-    mut optimizer: ModuleOptimizer,
+    optimizer: ModuleOptimizer,
     place: StagePlace,
 ) -> Result<StageResult> {
     let StagePlace {
@@ -164,25 +171,13 @@ pub fn run_stage<R: Recipe>(
     let started = Instant::now();
     let folder = StageFolder::new(run, R::STAGE);
     folder.create()?;
-    initialize(&model);
-    let mut model = model;
-    let mut average = steering
-        .average
-        .map(|(decay, ramp)| AveragedWeights::new(&model, decay, ramp));
+    let mut learner = Learner::new(model, optimizer, steering);
     let mut state = StageState {
         settings: steering.settings.clone(),
         ..StageState::default()
     };
     if resume && let Some(saved) = folder.state(&steering.settings)? {
-        let shadow = average.as_ref().map(|average| average.module(&model));
-        let (loaded, shadow, loaded_optimizer) = folder.load(model, shadow, optimizer)?;
-        model = loaded;
-        optimizer = loaded_optimizer;
-        if let (Some((decay, ramp)), Some(shadow)) = (steering.average, shadow) {
-            let mut loaded = AveragedWeights::new(&shadow, decay, ramp);
-            loaded.updates = saved.ema_updates;
-            average = Some(loaded);
-        }
+        learner = learner.restored(&folder, steering, &saved)?;
         state = saved;
         progress.note(&format!(
             "{}: resuming after epoch {}",
@@ -213,12 +208,9 @@ pub fn run_stage<R: Recipe>(
             break;
         }
         let epoch = state.epoch;
-        let mut row = trainer.epoch(&mut model, &mut optimizer, &mut average, &mut state)?;
+        let mut row = trainer.epoch(&mut learner, &mut state)?;
         state.epoch = epoch + 1;
-        let usable = match &average {
-            Some(average) => average.module(&model),
-            None => model.valid(),
-        };
+        let usable = learner.usable();
         if state.epoch.is_multiple_of(steering.validate_every) || state.epoch == steering.epochs {
             progress.status("validating");
             let result = recipe.validate(&usable, &mut row)?;
@@ -239,6 +231,13 @@ pub fn run_stage<R: Recipe>(
                 row.loss,
                 recipe.describe(&row)
             ));
+            recipe.show(&usable, trainer.log, state.step)?;
+            for (path, values) in named_weights(&usable)? {
+                let tag = format!("weights/{path}");
+                trainer
+                    .log
+                    .add_histogram(R::STAGE, &tag, state.step, &values);
+            }
         }
         trainer.log.add(row)?;
         recipe.save(&usable, &folder.last())?;
@@ -246,9 +245,12 @@ pub fn run_stage<R: Recipe>(
             recipe.save(&usable, &folder.of_epoch(state.epoch))?;
             folder.drop_epochs_before((state.epoch + 1).saturating_sub(steering.keep_last))?;
         }
-        state.ema_updates = average.as_ref().map_or(0, |average| average.updates);
-        let shadow = average.as_ref().map(|average| average.module(&model));
-        folder.save(&state, &model, shadow, &optimizer)?;
+        state.ema_updates = learner
+            .average
+            .as_ref()
+            .map_or(0, |average| average.updates);
+        let shadow = learner.average.is_some().then_some(usable);
+        folder.save(&state, &learner.model, shadow, &learner.optimizer)?;
     }
     progress.end();
     Ok(StageResult {
@@ -270,9 +272,7 @@ impl<'a, R: Recipe> Trainer<'a, R> {
     /// One pass over the data.
     fn epoch(
         &mut self,
-        model: &mut R::Model,
-        optimizer: &mut ModuleOptimizer,
-        average: &mut Option<AveragedWeights>,
+        learner: &mut Learner<R::Model>,
         state: &mut StageState,
     ) -> Result<EpochRow> {
         let steering = self.steering;
@@ -281,9 +281,7 @@ impl<'a, R: Recipe> Trainer<'a, R> {
         let mut sums = EpochSums::default();
         std::thread::scope(|scope| {
             let batches = self.loader(scope, &order, state.epoch);
-            self.steps(
-                &order, &batches, model, optimizer, average, state, &mut sums,
-            )
+            self.steps(&order, &batches, learner, state, &mut sums)
         })?;
         let mut row = EpochRow {
             stage: R::STAGE.to_owned(),
@@ -331,17 +329,11 @@ impl<'a, R: Recipe> Trainer<'a, R> {
     }
 
     /// The optimiser steps of an epoch.
-    #[allow(
-        clippy::too_many_arguments,
-        reason = "everything that a step changes, named at the one call"
-    )]
     fn steps(
         &mut self,
         order: &[usize],
         batches: &Receiver<Result<R::Batch>>,
-        model: &mut R::Model,
-        optimizer: &mut ModuleOptimizer,
-        average: &mut Option<AveragedWeights>,
+        learner: &mut Learner<R::Model>,
         state: &mut StageState,
         sums: &mut EpochSums,
     ) -> Result<()> {
@@ -357,34 +349,24 @@ impl<'a, R: Recipe> Trainer<'a, R> {
                     ),
                 });
             }
-            let mut accumulator = GradientsAccumulator::new();
-            let mut loss = 0.0;
-            for items in batch.chunks(steering.micro_batch) {
-                let share = items.len() as f64 / batch.len() as f64;
-                let loaded = batches
-                    .recv()
-                    .unwrap_or_else(|_| unreachable!("the loader sends every pass or an error"))?;
-                let pass = self.recipe.loss(model, loaded, share)?;
-                self.check_finite(&pass, items, state)?;
-                loss += share * pass.reported;
-                sums.add_terms(&pass.terms, items.len());
-                let grads = GradientsParams::from_grads(pass.total.backward(), &*model);
-                accumulator.accumulate(model, grads);
-            }
-            let longest = steering.clip_norm.unwrap_or(f64::INFINITY);
-            let (grads, norm) = clip_gradients(model, accumulator.grads(), longest)?;
-            sums.gradient_norm += norm;
             let rate = self.learning_rate(state.step);
-            *model = optimizer.step(rate, model.clone(), grads);
-            if let Some(average) = average {
-                average.update(model);
-            }
-            state.step += 1;
-            sums.steps += 1;
-            sums.loss += loss * batch.len() as f64;
-            sums.items += batch.len();
+            let next = || {
+                batches
+                    .recv()
+                    .unwrap_or_else(|_| unreachable!("the loader sends every pass or an error"))
+            };
+            let step = learner.step(self.recipe, steering, rate, batch, next);
+            let step = step.map_err(|error| match error {
+                StepError::Other(error) => error,
+                StepError::NotFinite(reported, items) => {
+                    self.progress.end();
+                    self.not_finite(reported, &items, state)
+                }
+            })?;
+            sums.add(&step, batch.len());
             sums.learning_rate = rate;
-            self.log.add_step(R::STAGE, state.step, loss);
+            state.step += 1;
+            self.log.add_step(R::STAGE, state.step, step.loss);
             self.progress.status(&format!(
                 "epoch {}/{} loss {:.3}",
                 state.epoch + 1,
@@ -407,26 +389,21 @@ impl<'a, R: Recipe> Trainer<'a, R> {
         steering.learning_rate * factor * rise.min(1.0)
     }
 
-    fn check_finite(&self, pass: &PassLoss, items: &[usize], state: &StageState) -> Result<()> {
-        if pass.reported.is_finite() {
-            return Ok(());
-        }
-        self.progress.end();
+    fn not_finite(&self, loss: f64, items: &[usize], state: &StageState) -> Error {
         let names: Vec<String> = items
             .iter()
             .map(|&item| self.recipe.item_name(item))
             .collect();
-        Err(Error::training(
+        Error::training(
             format!(
-                "the {} loss is {} in epoch {}, step {}, on {}",
+                "the {} loss is {loss} in epoch {}, step {}, on {}",
                 R::STAGE,
-                pass.reported,
                 state.epoch + 1,
                 state.step + 1,
                 names.join(", ")
             ),
             "check these files; else lower the learning rate and --resume",
-        ))
+        )
     }
 }
 
@@ -442,11 +419,16 @@ struct EpochSums {
 }
 
 impl EpochSums {
-    fn add_terms(&mut self, terms: &[f64], items: usize) {
-        self.terms.resize(terms.len(), 0.0);
-        for (sum, term) in self.terms.iter_mut().zip(terms) {
-            *sum += term * items as f64;
+    fn add(&mut self, step: &StepOutcome, items: usize) {
+        let weight = items as f64;
+        self.loss += step.loss * weight;
+        self.terms.resize(step.terms.len(), 0.0);
+        for (sum, term) in self.terms.iter_mut().zip(&step.terms) {
+            *sum += term * weight;
         }
+        self.gradient_norm += step.gradient_norm;
+        self.steps += 1;
+        self.items += items;
     }
 }
 
