@@ -45,9 +45,9 @@ fn differing(runs: &[Run]) -> Table {
     for name in names {
         let values: Vec<Option<&String>> = settings.iter().map(|of| of.get(name)).collect();
         if values.iter().any(|value| *value != values[0]) {
-            let text = |value: &Option<&String>| value.map_or_else(|| "-".to_owned(), Clone::clone);
+            let text = |value: Option<&String>| value.map_or_else(|| "-".to_owned(), Clone::clone);
             let mut row = vec![name.clone()];
-            row.extend(values.iter().map(text));
+            row.extend(values.into_iter().map(text));
             table.rows.push(row);
         }
     }
