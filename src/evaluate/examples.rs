@@ -120,7 +120,8 @@ pub(super) fn draw(
     Ok(rows)
 }
 
-/// Examples among the labelled vehicles; their boxes are looked up when they are drawn.
+/// Examples among the labelled vehicles, with the detected boxes; the labelled ones are looked up when
+/// they are drawn.
 fn of_labelled(kind: ExampleKind, vehicles: &[VehicleRow]) -> Vec<(ExampleRow, Option<PixelBox>)> {
     let error = |v: &VehicleRow| {
         let estimated_m = v.pipeline_network_m.filter(|m| m.is_finite())?;
@@ -151,7 +152,7 @@ fn of_labelled(kind: ExampleKind, vehicles: &[VehicleRow]) -> Vec<(ExampleRow, O
                 error_percent: error(v),
                 score: v.score,
             };
-            (row, None)
+            (row, v.found_box())
         })
         .collect()
 }
@@ -177,20 +178,20 @@ fn of_false(vehicles: &[FalseVehicle]) -> Vec<(ExampleRow, Option<PixelBox>)> {
         .collect()
 }
 
-/// The surroundings of the vehicle in the left image, with its box.
+/// The surroundings of the vehicle in the left image, with the labelled box in the first colour and
+/// the detected one in the second.
 fn picture(
     dataset: &StereoDataset,
     kind: BoxKind,
     row: &ExampleRow,
-    area: Option<PixelBox>,
+    found: Option<PixelBox>,
 ) -> Option<RgbImage> {
     let frame = dataset.frame(row.frame)?;
     let labels = || frame.left.labels_of(kind);
-    let area = area.or_else(|| {
-        labels()
-            .find(|label| Some(label.id) == row.id)
-            .map(|label| label.box_pixel)
-    })?;
+    let labelled = labels()
+        .find(|label| Some(label.id) == row.id)
+        .map(|label| label.box_pixel);
+    let area = labelled.or(found)?;
     let image = frame.left.load(&dataset.rig().left).ok()?;
     let most = f64::from(image.width().min(image.height()));
     let side = (SURROUNDINGS * area.squared().width())
@@ -208,22 +209,29 @@ fn picture(
     let crop = imageops::crop_imm(&image, left_px, top_px, side_px, side_px).to_image();
     let crop = imageops::resize(&crop, SIDE_PX, SIDE_PX, imageops::FilterType::CatmullRom);
     let scale = f64::from(SIDE_PX) / side;
-    let moved = PixelBox::new(
-        (area.x_min - left) * scale,
-        (area.y_min - top) * scale,
-        (area.x_max - left) * scale,
-        (area.y_max - top) * scale,
-    );
+    let moved = |area: PixelBox| {
+        PixelBox::new(
+            (area.x_min - left) * scale,
+            (area.y_min - top) * scale,
+            (area.x_max - left) * scale,
+            (area.y_max - top) * scale,
+        )
+    };
     let text = match (row.estimated_m, row.distance_m) {
         (Some(estimated_m), Some(distance_m)) => format!("{estimated_m:.1} of {distance_m:.1} m"),
         (Some(estimated_m), None) => format!("{estimated_m:.1} m?"),
         (None, Some(distance_m)) => format!("missed, {distance_m:.1} m"),
         (None, None) => String::new(),
     };
-    let annotation = Annotation {
-        left: Some(moved),
+    let annotation = |area: Option<PixelBox>, text: String| Annotation {
+        left: area.map(moved),
         right: None,
         text,
     };
-    Some(annotate_pair(&crop, &RgbImage::new(0, 0), &[annotation]))
+    let annotations = if labelled.is_some() {
+        [annotation(labelled, text), annotation(found, String::new())]
+    } else {
+        [annotation(None, String::new()), annotation(found, text)]
+    };
+    Some(annotate_pair(&crop, &RgbImage::new(0, 0), &annotations))
 }

@@ -323,6 +323,7 @@ impl<'a> Judge<'a> {
                 let (vehicle, estimates) = &found[*vehicle];
                 let overlap = vehicle.left.iou(&label.left.box_pixel);
                 row.found = true;
+                row.set_found_box(&vehicle.left);
                 row.score = Some(vehicle.score);
                 row.overlap = Some(overlap.min(vehicle.right.iou(&label.right.box_pixel)));
                 row.set_estimates(Boxes::Pipeline, *estimates);
@@ -376,6 +377,10 @@ impl<'a> Judge<'a> {
             found: false,
             score: None,
             overlap: None,
+            found_x_min: None,
+            found_y_min: None,
+            found_x_max: None,
+            found_y_max: None,
             pipeline_network_m: None,
             pipeline_size_m: None,
             pipeline_triangulation_m: None,

@@ -232,8 +232,12 @@ fn evaluate_into(
     let coco = judged
         .detection_pixel
         .coco_summary(detections::COCO_DETECTIONS);
-    let protocol = Some(protocol::protocol(&frames, &judged.vehicles))
-        .filter(|protocol| protocol.cells + protocol.other_frames > 0);
+    let protocol = Some(protocol::protocol(
+        &frames,
+        &judged.vehicles,
+        &judged.false_vehicles,
+    ))
+    .filter(|protocol| protocol.cells + protocol.other_frames > 0);
     let detection = detection_figures(&judged, &summary, &drawing);
     let pipeline = pipeline_figures(&judged, &drawing);
     let true_boxes = errors(&judged, Boxes::True);

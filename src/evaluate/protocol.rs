@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
-use super::vehicles::{Boxes, Method, VehicleRow};
+use super::vehicles::{Boxes, FalseVehicle, Method, VehicleRow};
 use crate::dataset::{Frame, View};
 use crate::world::Sun;
 
@@ -64,6 +64,8 @@ pub struct ProtocolRow {
     pub frames: usize,
     /// Of these, without an estimate: the vehicle was missed.
     pub missed: usize,
+    /// Vehicles that the pipeline made up in these frames; empty for true boxes.
+    pub false_vehicles: Option<usize>,
     /// Mean estimate at sunrise, metres.
     pub sunrise_m: Option<f64>,
     /// In the morning.
@@ -123,7 +125,11 @@ struct Cell<'a> {
 }
 
 /// Arranges the vehicles of a split by the test's distances, suns and views.
-pub(super) fn protocol(frames: &[&Frame], vehicles: &[VehicleRow]) -> Protocol {
+pub(super) fn protocol(
+    frames: &[&Frame],
+    vehicles: &[VehicleRow],
+    false_vehicles: &[FalseVehicle],
+) -> Protocol {
     let mut by_distance: BTreeMap<i64, Vec<Cell>> = BTreeMap::new();
     for (distance_m, _, _) in PAPER {
         by_distance.insert(tenths(distance_m), Vec::new());
@@ -168,7 +174,7 @@ pub(super) fn protocol(frames: &[&Frame], vehicles: &[VehicleRow]) -> Protocol {
         let mut rows: Vec<ProtocolRow> = Vec::new();
         for (&tenths, cells) in &by_distance {
             let distance_m = tenths as f64 / 10.0;
-            rows.push(row(boxes, distance_m, cells));
+            rows.push(row(boxes, distance_m, cells, false_vehicles));
             for method in Method::ALL {
                 let row = method_row(boxes, distance_m, method, cells);
                 if method == Method::Network || row.answered > 0 {
@@ -203,7 +209,13 @@ fn cell<'a>(frame: &Frame, vehicles: &'a [VehicleRow]) -> Option<(f64, Cell<'a>)
     (apart(&vehicle) <= TOLERANCE_M).then_some((distance_m, Cell { sun, view, vehicle }))
 }
 
-fn row(boxes: Boxes, distance_m: f64, cells: &[Cell]) -> ProtocolRow {
+fn row(
+    boxes: Boxes,
+    distance_m: f64,
+    cells: &[Cell],
+    false_vehicles: &[FalseVehicle],
+) -> ProtocolRow {
+    let is_here = |v: &&FalseVehicle| cells.iter().any(|cell| cell.vehicle.frame == v.frame);
     let estimates: Vec<(Sun, f64, f64)> = cells
         .iter()
         .filter_map(|cell| {
@@ -236,6 +248,8 @@ fn row(boxes: Boxes, distance_m: f64, cells: &[Cell]) -> ProtocolRow {
         distance_m: Some(distance_m),
         frames: cells.len(),
         missed: cells.len() - estimates.len(),
+        false_vehicles: (boxes == Boxes::Pipeline)
+            .then(|| false_vehicles.iter().filter(is_here).count()),
         sunrise_m: means[0].map(|(mean, _)| mean),
         morning_m: means[1].map(|(mean, _)| mean),
         noon_m: means[2].map(|(mean, _)| mean),
@@ -261,6 +275,8 @@ fn mean_row(boxes: Boxes, rows: &[ProtocolRow]) -> ProtocolRow {
         distance_m: None,
         frames: rows.iter().map(|row| row.frames).sum(),
         missed: rows.iter().map(|row| row.missed).sum(),
+        false_vehicles: (boxes == Boxes::Pipeline)
+            .then(|| rows.iter().filter_map(|row| row.false_vehicles).sum()),
         sunrise_m: None,
         morning_m: None,
         noon_m: None,

@@ -229,12 +229,12 @@ fn write_protocol(text: &mut String, protocol: &Protocol) -> fmt::Result {
     for boxes in Boxes::ALL {
         writeln!(
             text,
-            "\n{:<10}  mean estimate by sun, m           | of the means, as the paper | single frames | frames",
+            "\n{:<10}  mean estimate by sun, m           | of the means, as the paper | single frames |",
             boxes.name()
         )?;
         writeln!(
             text,
-            "true m    sunrise morning    noon  aftern. | RMSE m  paper  MRE % paper | RMSE m  MRE % | missed"
+            "true m    sunrise morning    noon  aftern. | RMSE m  paper  MRE % paper | RMSE m  MRE % | missed  false"
         )?;
         for row in protocol.rows.iter().filter(|row| row.boxes == boxes) {
             protocol_row(text, row)?;
@@ -245,7 +245,7 @@ fn write_protocol(text: &mut String, protocol: &Protocol) -> fmt::Result {
 }
 
 /// Distance, estimates, errors and counts of a row: one text a column.
-pub(crate) fn protocol_cells(row: &ProtocolRow) -> [String; 13] {
+pub(crate) fn protocol_cells(row: &ProtocolRow) -> [String; 14] {
     let distance = row
         .distance_m
         .map_or_else(|| "mean".to_owned(), |m| format!("{m:.0}"));
@@ -262,6 +262,8 @@ pub(crate) fn protocol_cells(row: &ProtocolRow) -> [String; 13] {
         number(row.rmse_m, 2),
         number(row.mre_percent, 1),
         row.missed.to_string(),
+        row.false_vehicles
+            .map_or_else(|| "-".to_owned(), |count| count.to_string()),
         row.frames.to_string(),
     ]
 }
@@ -276,6 +278,7 @@ fn protocol_row(text: &mut String, row: &ProtocolRow) -> fmt::Result {
         frames_rmse,
         frames_mre,
         missed,
+        made_up,
         frames,
     ] = errors;
     write!(
@@ -285,7 +288,7 @@ fn protocol_row(text: &mut String, row: &ProtocolRow) -> fmt::Result {
     write!(text, "{rmse:>6} {paper_rmse:>6} {mre:>6} {paper_mre:>5} | ")?;
     writeln!(
         text,
-        "{frames_rmse:>6} {frames_mre:>6} | {missed:>3}/{frames}"
+        "{frames_rmse:>6} {frames_mre:>6} | {missed:>3}/{frames:<3} {made_up:>5}"
     )
 }
 

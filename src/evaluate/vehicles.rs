@@ -5,6 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::View;
+use crate::geometry::PixelBox;
 
 /// A way to a distance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -118,6 +119,14 @@ pub struct VehicleRow {
     pub score: Option<f32>,
     /// Overlap of the detected and the labelled box, the smaller of both images, 0 to 1.
     pub overlap: Option<f64>,
+    /// Left edge of the detected box in the left image, pixels.
+    pub found_x_min: Option<f64>,
+    /// Its upper edge.
+    pub found_y_min: Option<f64>,
+    /// Its right edge.
+    pub found_x_max: Option<f64>,
+    /// Its lower edge.
+    pub found_y_max: Option<f64>,
     /// The pipeline's estimate, metres.
     pub pipeline_network_m: Option<f64>,
     /// From the detected boxes' size.
@@ -131,6 +140,24 @@ pub struct VehicleRow {
 }
 
 impl VehicleRow {
+    /// The detected box in the left image, pixels.
+    pub fn found_box(&self) -> Option<PixelBox> {
+        Some(PixelBox::new(
+            self.found_x_min?,
+            self.found_y_min?,
+            self.found_x_max?,
+            self.found_y_max?,
+        ))
+    }
+
+    /// Sets the detected box in the left image, pixels.
+    pub(super) const fn set_found_box(&mut self, found: &PixelBox) {
+        self.found_x_min = Some(found.x_min);
+        self.found_y_min = Some(found.y_min);
+        self.found_x_max = Some(found.x_max);
+        self.found_y_max = Some(found.y_max);
+    }
+
     /// A method's estimate from these boxes, metres.
     pub const fn estimate(&self, boxes: Boxes, method: Method) -> Option<f64> {
         match (boxes, method) {

@@ -386,6 +386,7 @@ fn protocol(section: &mut Section, of: &Evaluated) {
                 "RMSE m of frames",
                 "MRE % of frames",
                 "missed",
+                "false",
                 "frames",
             ],
             of.file("protocol.csv"),

@@ -40,6 +40,10 @@ impl Capture {
             found,
             score: None,
             overlap: None,
+            found_x_min: None,
+            found_y_min: None,
+            found_x_max: None,
+            found_y_max: None,
             pipeline_network_m: found.then_some(estimate_m),
             pipeline_size_m: None,
             pipeline_triangulation_m: None,
@@ -50,7 +54,19 @@ impl Capture {
 
     fn protocol(&self) -> Protocol {
         let frames: Vec<&Frame> = self.frames.iter().collect();
-        protocol(&frames, &self.vehicles)
+        let made_up = FalseVehicle {
+            frame: 1,
+            class: "car".to_owned(),
+            scene: None,
+            sun: None,
+            score: 0.5,
+            estimated_m: 70.0,
+            x_min: 0.0,
+            y_min: 0.0,
+            x_max: 9.0,
+            y_max: 9.0,
+        };
+        protocol(&frames, &self.vehicles, &[made_up])
     }
 }
 
@@ -109,6 +125,7 @@ fn a_missed_vehicle_is_counted_and_never_averaged() {
     let protocol = capture.protocol();
     let row = row(&protocol, Boxes::Pipeline, 15.0);
     assert_eq!((row.frames, row.missed, row.morning_m), (2, 1, Some(16.0)));
+    assert_eq!(row.false_vehicles, Some(1));
 }
 
 #[test]
