@@ -105,8 +105,12 @@ impl Evaluated {
             if !pictures.is_empty() {
                 section.blocks.push(Block::Pictures {
                     title: match kind {
-                        ExampleKind::Worst => "Largest errors of the pipeline",
-                        ExampleKind::Best => "Smallest errors of the pipeline",
+                        ExampleKind::Worst => {
+                            "Largest errors of the pipeline: label green, detection red"
+                        }
+                        ExampleKind::Best => {
+                            "Smallest errors of the pipeline: label green, detection red"
+                        }
                         ExampleKind::Missed => "Missed: the largest",
                         ExampleKind::False => "Seen where none is labelled: the most certain",
                     }
@@ -140,9 +144,12 @@ fn epochs(path: &Path) -> Result<Vec<EpochRow>> {
         .deserialize()
         .collect::<Result<_, csv::Error>>()
         .map_err(|source| {
+            let line = source
+                .position()
+                .map(|position| format!(": line {} cannot be read", position.line()));
             Error::value(
                 path.display().to_string(),
-                format!("is not a metrics table: {}", source.to_string().trim()),
+                format!("is not a metrics table{}", line.unwrap_or_default()),
                 "restore the file that `train` wrote",
             )
         })
