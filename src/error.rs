@@ -51,6 +51,16 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+    /// A vehicle or prop of the user's that cannot be used.
+    #[error("asset {}: {problem}; {remedy}", path.display())]
+    Asset {
+        /// The glTF file, or the file or folder that belongs to it.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+        /// What to do about it.
+        remedy: String,
+    },
     /// A setting, argument or input value that cannot be used.
     #[error("{name}: {problem}; {remedy}")]
     Value {
@@ -131,6 +141,19 @@ impl Error {
         remedy: impl Into<String>,
     ) -> Self {
         Self::Weights {
+            path: path.as_ref().to_path_buf(),
+            problem: problem.into(),
+            remedy: remedy.into(),
+        }
+    }
+
+    /// An [`Error::Asset`].
+    pub fn asset(
+        path: impl AsRef<Path>,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::Asset {
             path: path.as_ref().to_path_buf(),
             problem: problem.into(),
             remedy: remedy.into(),

@@ -20,15 +20,15 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-pub use config::{GenerateConfig, Outputs, SplitMode, TestProtocol, VehicleCount};
+pub use config::{Assets, GenerateConfig, Outputs, SplitMode, TestProtocol, VehicleCount};
 pub use plan::view_of_azimuth;
 
 use crate::dataset::{Split, read_frames_csv};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::render::{Conditions, Eye, Instances, RenderSettings, Stage, render};
-use crate::world::Scene;
 use crate::world::noise::derive_seed;
+use crate::world::{Scene, Wardrobe};
 use estimate::{Sample, Work, announce};
 use label::{labels, objects};
 use part::Task;
@@ -80,26 +80,50 @@ pub fn generate(
     progress: &dyn Progress,
 ) -> Result<GenerateReport> {
     config.validate()?;
-    run(Task::generate(config, out)?, out, progress)
+    let (config, wardrobe) = config.dressed()?;
+    run(Task::generate(&config, out)?, &wardrobe, out, progress)
 }
 
 /// Adds training and validation frames, with scenes of their own, to a finished dataset of
 /// [`generate`], with the settings that made it. What is there stays as it is, splits included.
 /// Stopped, it goes on when it is called again with the same number.
 ///
+/// `assets` is where the user's assets are now, if not where they were.
+///
 /// # Errors
 /// A folder without a finished dataset of this version of the program, and those of [`generate`].
-pub fn add_frames(frames: u32, out: &Path, progress: &dyn Progress) -> Result<GenerateReport> {
+pub fn add_frames(
+    frames: u32,
+    out: &Path,
+    assets: Option<&Path>,
+    progress: &dyn Progress,
+) -> Result<GenerateReport> {
     let task = Task::extend(out, frames)?;
-    let config = GenerateConfig {
+    let mut config = GenerateConfig {
         frames,
         ..task.history.config.clone()
     };
+    if let Some(folder) = assets {
+        let Some(assets) = &mut config.assets else {
+            return Err(Error::dataset(
+                out,
+                "was made without assets",
+                "leave the folder of assets out, or make another dataset with them",
+            ));
+        };
+        folder.clone_into(&mut assets.folder);
+    }
     config.validate()?;
-    run(task, out, progress)
+    let (_, wardrobe) = config.dressed()?;
+    run(task, &wardrobe, out, progress)
 }
 
-fn run(task: Task, out: &Path, progress: &dyn Progress) -> Result<GenerateReport> {
+fn run(
+    task: Task,
+    wardrobe: &Wardrobe,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<GenerateReport> {
     let target = Target::open(task, out)?;
     let task = target.task();
     let scenes = plan_scenes(&task.history.config, &task.part);
@@ -108,14 +132,11 @@ fn run(task: Task, out: &Path, progress: &dyn Progress) -> Result<GenerateReport
         .clone()
         .filter(|frame| target.has_frame(frame.stamp))
         .count();
-    measure(&target, &scenes, progress)?;
+    let first = measure(&target, wardrobe, &scenes, progress)?;
     progress.begin("rendering frames", stamps.count() as u64);
-    let done: Result<Vec<Vec<FrameRecord>>> = scenes
-        .par_iter()
-        .map(|scene| generate_scene(scene, &target, progress))
-        .collect();
+    let done = generate_scenes(&scenes, first, wardrobe, &target, progress);
     progress.end();
-    let mut done: Vec<FrameRecord> = done?.into_iter().flatten().collect();
+    let mut done = done?;
     done.sort_by_key(|record| record.row.stamp);
     target.finish(&done)?;
     let (rows, _) = read_frames_csv(out.join("frames.csv"))?;
@@ -129,17 +150,24 @@ fn run(task: Task, out: &Path, progress: &dyn Progress) -> Result<GenerateReport
     })
 }
 
-/// Renders the first frame that is missing and says what the others will cost.
-fn measure(target: &Target, scenes: &[SceneDraft], progress: &dyn Progress) -> Result<()> {
+/// Renders the first frame that is missing and says what the others will cost. Returns the first
+/// scene, ready for the other frames, where the frame was of that one.
+fn measure(
+    target: &Target,
+    wardrobe: &Wardrobe,
+    scenes: &[SceneDraft],
+    progress: &dyn Progress,
+) -> Result<Option<Stage>> {
     let missing = |frame: &&FrameDraft| !target.has_frame(frame.stamp);
-    let Some((scene, frame)) = scenes
+    let Some((index, scene, frame)) = scenes
         .iter()
-        .find_map(|scene| Some((scene, scene.frames.iter().find(missing)?)))
+        .enumerate()
+        .find_map(|(index, scene)| Some((index, scene, scene.frames.iter().find(missing)?)))
     else {
-        return Ok(());
+        return Ok(None);
     };
     let begun = Instant::now();
-    let stage = stage_of(&target.task().history.config, scene);
+    let stage = stage_of(&target.task().history.config, wardrobe, scene);
     let staged = Instant::now();
     make_frame(frame, &stage, target)?;
     let sample = Sample {
@@ -159,34 +187,68 @@ fn measure(target: &Target, scenes: &[SceneDraft], progress: &dyn Progress) -> R
     if work.frames > 0 {
         progress.note(&announce(sample, work, target)?);
     }
-    Ok(())
+    Ok((index == 0).then_some(stage))
+}
+
+/// Renders what is missing of all scenes.
+///
+/// One scene after the other: the threads share its frames, their two images and the rows of those,
+/// and prepare the next scene meanwhile. So few frames keep many threads busy, and memory holds two
+/// scenes however many threads there are.
+fn generate_scenes(
+    scenes: &[SceneDraft],
+    first: Option<Stage>,
+    wardrobe: &Wardrobe,
+    target: &Target,
+    progress: &dyn Progress,
+) -> Result<Vec<FrameRecord>> {
+    let config = &target.task().history.config;
+    let prepare = |scene: Option<&SceneDraft>| scene.map(|scene| stage_of(config, wardrobe, scene));
+    let mut done = Vec::new();
+    let mut stage = first.or_else(|| prepare(scenes.first()));
+    for (index, scene) in scenes.iter().enumerate() {
+        let (records, next) = rayon::join(
+            || match &stage {
+                Some(stage) => generate_scene(scene, stage, target, progress),
+                None => Ok(Vec::new()),
+            },
+            || prepare(scenes.get(index + 1)),
+        );
+        done.extend(records?);
+        stage = next;
+    }
+    Ok(done)
 }
 
 /// Renders what is missing of one scene.
 fn generate_scene(
     scene: &SceneDraft,
+    stage: &Stage,
     target: &Target,
     progress: &dyn Progress,
 ) -> Result<Vec<FrameRecord>> {
-    if progress.interrupted() {
-        return Err(interrupted());
+    // A frame has two images, and a thread that waits for one of its rows may begin another frame:
+    // fewer frames at once than threads keep memory small.
+    let at_once = (rayon::current_num_threads() / 2).max(1);
+    let mut records = Vec::with_capacity(scene.frames.len());
+    for drafts in scene.frames.chunks(at_once) {
+        let some: Result<Vec<FrameRecord>> = drafts
+            .par_iter()
+            .map(|draft| {
+                if progress.interrupted() {
+                    return Err(interrupted());
+                }
+                let record = make_frame(draft, stage, target);
+                progress.advance(1);
+                record
+            })
+            .collect();
+        records.extend(some?);
     }
-    let stage = stage_of(&target.task().history.config, scene);
-    scene
-        .frames
-        .par_iter()
-        .map(|draft| {
-            if progress.interrupted() {
-                return Err(interrupted());
-            }
-            let record = make_frame(draft, &stage, target);
-            progress.advance(1);
-            record
-        })
-        .collect()
+    Ok(records)
 }
 
-fn stage_of(config: &GenerateConfig, scene: &SceneDraft) -> Stage {
+fn stage_of(config: &GenerateConfig, wardrobe: &Wardrobe, scene: &SceneDraft) -> Stage {
     let reach_m = scene
         .frames
         .iter()
@@ -198,7 +260,7 @@ fn stage_of(config: &GenerateConfig, scene: &SceneDraft) -> Stage {
         reach_m,
         vehicles_of_scene(config, scene.number),
         (TRAFFIC_PART * config.distance_max_m).clamp(TRAFFIC_M[0], TRAFFIC_M[1]),
-        config.appearance.wardrobe(),
+        wardrobe,
     ))
 }
 
@@ -237,24 +299,25 @@ fn write_frame(
 ) -> Result<()> {
     let settings = RenderSettings {
         samples_per_pixel: config.samples_per_pixel,
-        noise_counts: config.noise_counts,
+        noise_counts: config.noise_counts.drawn(capture.noise_seed),
         noise_seed: capture.noise_seed,
         conditions: Conditions::draw(&config.appearance, capture.sun, capture.noise_seed),
     };
     let rig = target.rig();
-    for eye in Eye::BOTH {
+    Eye::BOTH.into_par_iter().try_for_each(|eye| {
         let image = render(stage, rig, &capture.pose, eye, &settings);
         let Instances { silhouettes, map } = Instances::measure(stage, rig, &capture.pose, eye);
         let labels = labels(config, stage, rig, capture, eye, &silhouettes);
         write_maps(config.outputs, stage, capture, eye, &map, target)?;
-        target.write_view(capture.row.stamp, eye, &image, &labels)?;
-    }
-    Ok(())
+        target.write_view(capture.row.stamp, eye, &image, &labels)
+    })
 }
 
 #[cfg(test)]
 mod growth;
 #[cfg(test)]
 mod laws;
+#[cfg(test)]
+mod own;
 #[cfg(test)]
 mod tests;

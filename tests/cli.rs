@@ -11,6 +11,8 @@ mod generate;
 mod pairing;
 #[path = "cli/report.rs"]
 mod report;
+#[path = "cli/training.rs"]
+mod training;
 
 use std::fs;
 use std::path::Path;

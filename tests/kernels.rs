@@ -7,6 +7,9 @@
     reason = "tests panic and report where the library must not"
 )]
 
+#[path = "support/devices.rs"]
+mod devices;
+
 use burn::tensor::module;
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Distribution, Tensor};
@@ -137,6 +140,48 @@ fn convolutions_and_both_gradients_agree_with_the_composed_operation_on_200_shap
             weight.grad(&expected).unwrap(),
             &format!("weight gradient {what}"),
         );
+    }
+}
+
+#[test]
+fn weight_gradients_of_large_images_agree_on_every_device() {
+    let flex = Device::flex();
+    flex.seed(12);
+    // More outputs than a software graphics adapter can add up in one go: in one image, in several,
+    // with strides that leave rows over.
+    for (input, weight, stride, padding) in [
+        ([1, 2, 230, 301], [3, 2, 3, 3], 1, 1),
+        ([5, 3, 120, 111], [4, 3, 3, 3], 1, 0),
+        ([2, 2, 301, 330], [3, 2, 3, 3], 2, 1),
+        ([9, 4, 90, 80], [2, 4, 1, 1], 1, 0),
+    ] {
+        let geometry = ConvGeometry {
+            stride,
+            padding,
+            groups: 1,
+        };
+        let (input, weight) = (random(input, &flex), random(weight, &flex));
+        let pull = random(
+            on_planes(input.clone(), |x| {
+                kernels::conv2d(x, weight.clone(), geometry)
+            })
+            .dims(),
+            &flex,
+        );
+        let gradient = |device: &Device| {
+            let device = device.clone().autodiff();
+            let [input, weight, pull] = [&input, &weight, &pull]
+                .map(|tensor| Tensor::<4>::from_data(tensor.to_data(), &device));
+            let weight = weight.require_grad();
+            let output = on_planes(input, |x| kernels::conv2d(x, weight.clone(), geometry));
+            let grads = (output * pull).sum().backward();
+            Tensor::<4>::from_data(weight.grad(&grads).unwrap().into_data(), &flex)
+        };
+        let expected = gradient(&flex);
+        for (name, device) in devices::every() {
+            let what = format!("{:?} on {name}", input.dims());
+            assert_same(gradient(&device), expected.clone(), &what);
+        }
     }
 }
 

@@ -149,10 +149,6 @@ fn check_loss(case: &str, device_name: &str, device: &Device) {
 #[test]
 fn near_targets_are_learnt_by_their_relative_error_on_every_device() {
     for (device_name, device) in devices::every() {
-        if device_name == "wgpu" && devices::ends_long_loops() {
-            println!("skipped on wgpu: Mesa's software adapter ends loops after 65,535 rounds");
-            continue;
-        }
         check_loss("near", device_name, &device);
     }
 }

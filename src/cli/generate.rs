@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use twinsight::Result;
-use twinsight::generate::{GenerateConfig, GenerateReport, VehicleCount, add_frames, generate};
+use twinsight::generate::{
+    Assets, GenerateConfig, GenerateReport, VehicleCount, add_frames, generate,
+};
 
 use super::values::ImageSize;
 use super::{presets, stdout, terminal};
@@ -40,6 +42,11 @@ pub struct GenerateArgs {
     #[arg(long, value_name = "N", requires = "out", conflicts_with_all =
         ["preset", "config", "frames", "vehicles", "outputs", "size", "seed"])]
     add: Option<u32>,
+    /// Folder of your own vehicles and props: `vehicles/*.glb` or `*.gltf`, `props/*.glb`, and what
+    /// there is to say about them in `assets.toml`; datasets/README.md explains it. With `--add`,
+    /// where the dataset's assets are now
+    #[arg(long, value_name = "DIR")]
+    assets: Option<PathBuf>,
     /// Size of the images, pixels
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     size: Option<ImageSize>,
@@ -66,6 +73,10 @@ Examples:
 
     twinsight generate --vehicles 6 --outputs depth,instances --out datasets/maps
 
+  With your own cars, buses and bus stops from glTF files:
+
+    twinsight generate --assets my-assets --out datasets/mine
+
   1000 more frames for a dataset:
 
     twinsight generate --add 1000 --out datasets/quick
@@ -91,7 +102,8 @@ impl GenerateArgs {
     pub fn run(&self, quiet: bool) -> Result<()> {
         let out = self.out();
         let report = if let Some(frames) = self.add {
-            terminal::with_progress(quiet, |progress| add_frames(frames, &out, progress))?
+            let assets = self.assets.as_deref();
+            terminal::with_progress(quiet, |progress| add_frames(frames, &out, assets, progress))?
         } else {
             let config = self.resolve()?;
             terminal::with_progress(quiet, |progress| generate(&config, &out, progress))?
@@ -116,6 +128,12 @@ impl GenerateArgs {
                 "disparity" => config.outputs.disparity = true,
                 "instances" => config.outputs.instances = true,
                 _ => config.outputs.poses = true,
+            }
+        }
+        if let Some(folder) = &self.assets {
+            match &mut config.assets {
+                Some(assets) => assets.folder.clone_from(folder),
+                none => *none = Some(Assets::of(folder.clone())),
             }
         }
         if let Some(size) = self.size {

@@ -1,7 +1,8 @@
 //! What kind of dataset to make.
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -9,8 +10,8 @@ use crate::dataset::View;
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::StereoRig;
-use crate::render::Appearance;
-use crate::world::Sun;
+use crate::render::{Appearance, Range};
+use crate::world::{AssetLibrary, Sun, Wardrobe};
 
 /// How frames are divided between training and validation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -53,8 +54,9 @@ pub struct GenerateConfig {
     pub suns: Vec<Sun>,
     /// Samples a pixel at edges, a square number; 1 switches anti-aliasing off.
     pub samples_per_pixel: u32,
-    /// Standard deviation of the sensor's noise on white, 8-bit counts; 0 switches it off.
-    pub noise_counts: f32,
+    /// Standard deviation of the sensor's noise on white, 8-bit counts, as a number or as a range
+    /// from which every frame draws; 0 switches it off.
+    pub noise_counts: Range,
     /// Least part of the target that either camera must see; other views are drawn again.
     pub min_visible: f64,
     /// A vehicle of which an image shows less than this part is ignored in it.
@@ -70,8 +72,52 @@ pub struct GenerateConfig {
     pub outputs: Outputs,
     /// Weather, camera, sensor, bodies and paints.
     pub appearance: Appearance,
+    /// The user's own vehicles and props.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub assets: Option<Assets>,
     /// A grid of test views in scenes of their own.
     pub test: Option<TestProtocol>,
+}
+
+/// Where the user's own vehicles and props are.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Assets {
+    /// Folder with `vehicles/` and `props/`, as [`AssetLibrary`] reads it.
+    pub folder: PathBuf,
+    /// Metres of pavement for each prop, where there is room.
+    #[serde(default = "Assets::usual_spacing_m")]
+    pub prop_spacing_m: f64,
+    /// What [`AssetLibrary::digest`] has to be; filled in when a dataset is made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub digest: Option<String>,
+}
+
+impl Assets {
+    /// The assets of a folder.
+    pub fn of(folder: PathBuf) -> Self {
+        Self {
+            folder,
+            prop_spacing_m: Self::usual_spacing_m(),
+            digest: None,
+        }
+    }
+
+    const fn usual_spacing_m() -> f64 {
+        15.0
+    }
+
+    fn library(&self) -> Result<AssetLibrary> {
+        let library = AssetLibrary::read(&self.folder)?;
+        match &self.digest {
+            Some(digest) if digest != library.digest() => Err(Error::asset(
+                &self.folder,
+                "holds other assets than when the dataset was made",
+                "bring its files back, or make another dataset without the digest in the settings",
+            )),
+            _ => Ok(library),
+        }
+    }
 }
 
 /// How many vehicles a scene has: a number, or a range from which every scene draws.
@@ -215,7 +261,7 @@ impl Default for GenerateConfig {
             distance_max_m: 40.0,
             suns: Sun::ALL.to_vec(),
             samples_per_pixel: 4,
-            noise_counts: 1.5,
+            noise_counts: Range::Fixed(1.5),
             min_visible: 0.55,
             ignore_below_visible: 0.5,
             ignore_below_px: 8.0,
@@ -223,6 +269,7 @@ impl Default for GenerateConfig {
             split: SplitMode::Scene,
             outputs: Outputs::default(),
             appearance: Appearance::default(),
+            assets: None,
             test: None,
         }
     }
@@ -322,13 +369,25 @@ impl GenerateConfig {
             1.0,
             64.0,
         )?;
-        in_range("noise_counts", f64::from(self.noise_counts), 0.0, 50.0)?;
+        self.noise_counts.validate("noise_counts", [0.0, 50.0])?;
         in_range("min_visible", self.min_visible, 0.0, 0.9)?;
         in_range("ignore_below_visible", self.ignore_below_visible, 0.0, 1.0)?;
         in_range("ignore_below_px", self.ignore_below_px, 0.0, 1000.0)?;
         self.vehicles.validate()?;
         in_range("val_fraction", self.val_fraction, 0.0, 0.9)?;
         self.appearance.validate()?;
+        if let Some(assets) = &self.assets {
+            in_range("assets.prop_spacing_m", assets.prop_spacing_m, 1.0, 1e4)?;
+            if assets.folder.to_str().is_none() {
+                return Err(Error::value(
+                    format!("assets.folder = {}", assets.folder.display()),
+                    "its name is not Unicode",
+                    "rename the folder",
+                ));
+            }
+        } else {
+            self.appearance.wardrobe(None)?;
+        }
         let root = self.samples_per_pixel.isqrt();
         if root * root != self.samples_per_pixel {
             return Err(Error::value(
@@ -366,6 +425,25 @@ impl GenerateConfig {
             }
         }
         Ok(())
+    }
+
+    /// Reads the user's assets, and returns the settings with their digest beside the bodies and
+    /// paints that scenes may draw from.
+    ///
+    /// # Errors
+    /// Assets that cannot be used or that are not those of the digest, and a body that there is not.
+    pub(super) fn dressed(&self) -> Result<(Self, Wardrobe)> {
+        let mut config = self.clone();
+        let own = match &mut config.assets {
+            Some(assets) => {
+                let library = assets.library()?;
+                assets.digest = Some(library.digest().to_owned());
+                Some((Arc::new(library), assets.prop_spacing_m))
+            }
+            None => None,
+        };
+        let wardrobe = self.appearance.wardrobe(own)?;
+        Ok((config, wardrobe))
     }
 
     /// The rig that takes the frames.
@@ -508,6 +586,29 @@ mod tests {
                 .unwrap_err()
                 .to_string();
             assert!(message.contains("vehicles"), "{message}");
+        }
+    }
+
+    #[test]
+    fn noise_is_a_number_or_a_range_and_every_frame_draws_from_it() {
+        let parse = |text: &str| GenerateConfig::parse(&format!("noise_counts = {text}"), "a");
+        for (text, ends) in [
+            ("2", [2.0, 2.0]),
+            ("1.5", [1.5, 1.5]),
+            ("[0.5, 3.0]", [0.5, 3.0]),
+        ] {
+            let noise = parse(text).unwrap().noise_counts;
+            let drawn: Vec<f32> = (0..50).map(|seed| noise.drawn(seed)).collect();
+            assert!(
+                drawn.iter().all(|v| (ends[0]..=ends[1]).contains(v)),
+                "{drawn:?}"
+            );
+            let differ = drawn.iter().any(|v| *v != drawn[0]);
+            assert_eq!(differ, ends[0] < ends[1]);
+        }
+        for text in ["-1", "[3, 1]", "nan", "51"] {
+            let message = parse(text).unwrap_err().to_string();
+            assert!(message.contains("noise_counts"), "{message}");
         }
     }
 

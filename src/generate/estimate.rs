@@ -8,9 +8,9 @@ use crate::error::{Error, Result};
 /// What one frame cost.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sample {
-    /// Preparing its scene, on one thread.
+    /// Preparing its scene, on one thread while the others render.
     pub scene: Duration,
-    /// Rendering and writing it, on one thread.
+    /// Rendering and writing it, on all threads.
     pub frame: Duration,
     /// Its files.
     pub bytes: u64,
@@ -30,7 +30,7 @@ pub(super) struct Work {
 /// Less free disk than the frames will need.
 pub(super) fn announce(sample: Sample, work: Work, target: &Target) -> Result<String> {
     let seconds = sample.frame.as_secs_f64() * work.frames as f64
-        + sample.scene.as_secs_f64() * work.scenes as f64;
+        + sample.scene.as_secs_f64() * work.scenes as f64 / work.threads.max(1) as f64;
     let bytes = sample.bytes.saturating_mul(work.frames as u64);
     let free = fs4::available_space(target.root()).ok();
     if let Some(free) = free.filter(|&free| free < bytes) {
@@ -50,7 +50,7 @@ pub(super) fn announce(sample: Sample, work: Work, target: &Target) -> Result<St
     Ok(format!(
         "{} frames to go: about {} on {} threads, and {}{free}",
         work.frames,
-        span(seconds / work.threads.max(1) as f64),
+        span(seconds),
         work.threads,
         size(bytes),
     ))

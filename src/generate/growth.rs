@@ -21,7 +21,7 @@ fn added_frames_change_nothing_of_what_was_there() {
     let root = folder.path();
     generate(&tiny(), root, &Silent).unwrap();
     let before = content(root);
-    let report = add_frames(5, root, &Silent).unwrap();
+    let report = add_frames(5, root, None, &Silent).unwrap();
     assert_eq!((report.frames, report.reused), (11, 6));
     let after = content(root);
     for (name, bytes) in &before {
@@ -54,7 +54,7 @@ fn more_frames_in_the_settings_add_the_missing_ones_and_as_many_or_fewer_are_ref
     let more = |frames| GenerateConfig { frames, ..tiny() };
     let report = generate(&more(9), &grown, &Silent).unwrap();
     assert_eq!((report.frames, report.reused), (9, 6));
-    add_frames(3, &added, &Silent).unwrap();
+    add_frames(3, &added, None, &Silent).unwrap();
     assert!(content(&grown) == content(&added));
     for frames in [9, 8] {
         let message = generate(&more(frames), &grown, &Silent)
@@ -84,8 +84,8 @@ fn an_addition_that_was_stopped_goes_on_with_the_same_number_only() {
         generate(&tiny(), root, &Silent).unwrap();
     }
     let before = data(&stopped);
-    add_frames(6, &whole, &Silent).unwrap();
-    let error = add_frames(6, &stopped, &StopAfter::new(3)).unwrap_err();
+    add_frames(6, &whole, None, &Silent).unwrap();
+    let error = add_frames(6, &stopped, None, &StopAfter::new(3)).unwrap_err();
     assert!(matches!(error, Error::Interrupted { .. }), "{error}");
     // What was there is still a dataset.
     let dataset = StereoDataset::open(&stopped).unwrap();
@@ -93,9 +93,11 @@ fn an_addition_that_was_stopped_goes_on_with_the_same_number_only() {
     let now = data(&stopped);
     assert!(before.iter().all(|(name, bytes)| now[name] == *bytes));
 
-    let message = add_frames(4, &stopped, &Silent).unwrap_err().to_string();
+    let message = add_frames(4, &stopped, None, &Silent)
+        .unwrap_err()
+        .to_string();
     assert!(message.contains("other settings"), "{message}");
-    let report = add_frames(6, &stopped, &Silent).unwrap();
+    let report = add_frames(6, &stopped, None, &Silent).unwrap();
     assert!(report.reused > 6, "{report:?}");
     assert!(content(&whole) == content(&stopped));
 }
@@ -106,7 +108,7 @@ fn a_run_killed_at_any_of_its_last_steps_can_be_repeated() {
     let root = folder.path();
     generate(&tiny(), root, &Silent).unwrap();
     let first = fs::read_to_string(root.join("dataset.toml")).unwrap();
-    add_frames(4, root, &Silent).unwrap();
+    add_frames(4, root, None, &Silent).unwrap();
     let whole = content(root);
     let made_by = &whole["dataset.toml"];
     let text = std::str::from_utf8(made_by).unwrap();
@@ -117,7 +119,7 @@ fn a_run_killed_at_any_of_its_last_steps_can_be_repeated() {
         fs::write(root.join("generating.toml"), &marker).unwrap();
         fs::write(root.join("dataset.toml"), dataset_toml).unwrap();
         fs::write(root.join("frames/.twinsight-a1b2"), "half").unwrap();
-        let report = add_frames(4, root, &Silent).unwrap();
+        let report = add_frames(4, root, None, &Silent).unwrap();
         assert_eq!((report.frames, report.reused), (10, 10));
         assert!(content(root) == whole);
     }
@@ -126,7 +128,7 @@ fn a_run_killed_at_any_of_its_last_steps_can_be_repeated() {
 #[test]
 fn nothing_is_added_to_folders_that_the_generator_did_not_fill() {
     let folder = tempfile::tempdir().unwrap();
-    let message = add_frames(4, folder.path(), &Silent)
+    let message = add_frames(4, folder.path(), None, &Silent)
         .unwrap_err()
         .to_string();
     assert!(message.contains("holds no finished dataset"), "{message}");
@@ -135,7 +137,7 @@ fn nothing_is_added_to_folders_that_the_generator_did_not_fill() {
     let path = folder.path().join("frames.csv");
     let text = fs::read_to_string(&path).unwrap();
     fs::write(&path, format!("{text}00042,train,,,,,,\n")).unwrap();
-    let message = add_frames(4, folder.path(), &Silent)
+    let message = add_frames(4, folder.path(), None, &Silent)
         .unwrap_err()
         .to_string();
     assert!(message.contains("frame 00042"), "{message}");
@@ -143,7 +145,7 @@ fn nothing_is_added_to_folders_that_the_generator_did_not_fill() {
     let toml = folder.path().join("dataset.toml");
     let text = fs::read_to_string(&toml).unwrap();
     fs::write(&toml, text.replace("twinsight generate", "something else")).unwrap();
-    let message = add_frames(4, folder.path(), &Silent)
+    let message = add_frames(4, folder.path(), None, &Silent)
         .unwrap_err()
         .to_string();
     assert!(message.contains("not made by this version"), "{message}");
@@ -165,7 +167,7 @@ fn a_disk_that_is_too_small_is_refused_with_both_sizes() {
         threads: 2,
     };
     let words = announce(sample(1000), work, &target).unwrap();
-    assert!(words.contains("about 2 minutes on 2 threads"), "{words}");
+    assert!(words.contains("about 3 minutes on 2 threads"), "{words}");
     let message = announce(sample(1 << 55), work, &target)
         .unwrap_err()
         .to_string();

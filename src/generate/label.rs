@@ -107,7 +107,7 @@ pub(super) fn objects(stage: &Stage, capture: &Capture) -> Vec<ObjectRow> {
             ObjectRow {
                 stamp: capture.row.stamp,
                 id,
-                style: vehicle.style().name().to_owned(),
+                style: vehicle.body_name().to_owned(),
                 length_m,
                 width_m,
                 height_m,

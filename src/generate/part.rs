@@ -133,6 +133,7 @@ impl Task {
     /// A folder with other contents.
     pub fn generate(config: &GenerateConfig, root: &Path) -> Result<Self> {
         let folder = Folder::read(root)?;
+        let config = &with_recorded_assets(config, &folder, root)?;
         let Some(made_by) = &folder.made_by else {
             if folder.marker.is_none() && folder.is_occupied {
                 return Err(occupied(root));
@@ -211,6 +212,36 @@ impl Task {
             _ => Ok(()),
         }
     }
+}
+
+/// The settings with the folder of assets that the dataset knows: the same assets may have moved.
+///
+/// # Errors
+/// Other assets than the dataset's.
+fn with_recorded_assets(
+    config: &GenerateConfig,
+    folder: &Folder,
+    root: &Path,
+) -> Result<GenerateConfig> {
+    let recorded = folder.made_by.as_ref().or(folder.marker.as_ref());
+    let recorded = recorded.and_then(History::from_table);
+    let mut config = config.clone();
+    if let Some(ours) = &mut config.assets
+        && let Some(theirs) = recorded.and_then(|history| history.config.assets)
+    {
+        if ours.digest != theirs.digest {
+            return Err(Error::dataset(
+                root,
+                format!(
+                    "was made with other assets than {} has now",
+                    ours.folder.display()
+                ),
+                "bring the files back as they were, or choose another folder for the dataset",
+            ));
+        }
+        ours.folder = theirs.folder;
+    }
+    Ok(config)
 }
 
 fn occupied(root: &Path) -> Error {

@@ -84,7 +84,10 @@ fn histogram(sets: &[(Split, &[f64])], unit: &str) -> Result<String> {
     });
     Figure {
         x: Axis::new(unit, [low, low + step * bins as f64]),
-        y: Axis::new("", [0.0, highest.unwrap_or(1).max(1) as f64 * 1.05]),
+        y: Axis {
+            whole: true,
+            ..Axis::new("", [0.0, highest.unwrap_or(1).max(1) as f64 * 1.05])
+        },
         shapes: shapes.collect(),
         square: false,
     }

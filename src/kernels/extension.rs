@@ -10,6 +10,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, ExtensionType, TensorMetadata, backend_extension};
 use burn::tensor::{IntDType, Shape, Slice};
 
+use super::bands::weight_grad_by_bands;
 use super::epilogue::Activation;
 use super::pool::TwinInput;
 
@@ -120,6 +121,10 @@ pub enum Residual<B: Backend> {
     Of(FloatTensor<B>),
 }
 
+/// Most products that Burn's gradient of a weight adds up in one go. Mesa's software adapter ends
+/// a shader's loops after 65,535 rounds in all, without a word, and what it returns then is wrong.
+const LONGEST_SUM: usize = 1 << 15;
+
 /// Operations that a backend may do in one piece; the defaults compose Burn's own.
 ///
 /// Images are `[batch, height, width, channels]`, weights `[channels_out, channels_in / groups,
@@ -220,7 +225,7 @@ pub trait KernelBackend: Backend {
         geometry: ConvGeometry,
     ) -> FloatTensor<Self> {
         let (input, grad) = (planes::<Self>(input), planes::<Self>(grad));
-        Self::conv2d_weight_backward(input, weight, grad, geometry.options())
+        weight_grad_by_bands::<Self>(input, &weight, grad, geometry, LONGEST_SUM)
     }
 
     /// Gradient of a convolution's bias: the sum of the output's gradient over all but channels.

@@ -22,8 +22,9 @@
     reason = "vector loads and disjoint parallel stores; each block says why it is sound"
 )]
 
-#[cfg(target_arch = "x86_64")]
 mod avx512;
+#[cfg(target_arch = "x86_64")]
+mod bands;
 pub mod chain;
 pub mod conv;
 pub mod depthwise;

@@ -50,6 +50,8 @@ pub(crate) struct Axis {
     pub range: [f64; 2],
     /// Names of the places 0.5, 1.5, ..; without them the axis has numbers.
     pub names: Vec<String>,
+    /// Whether only whole numbers are shown: a short axis of counts has steps between them.
+    pub whole: bool,
     /// Whether the values are decimal logarithms of what the numbers show.
     pub logarithmic: bool,
 }
@@ -70,11 +72,14 @@ impl Axis {
             label: label.into(),
             range: [0.0, names.len() as f64],
             names,
-            logarithmic: false,
+            ..Self::default()
         }
     }
 
     fn number(&self, value: f64) -> String {
+        if self.whole && value.fract() != 0.0 {
+            return String::new();
+        }
         if self.logarithmic {
             let value = libm::pow(10.0, value);
             let decimals = (1.0 - libm::log10(value).floor()).clamp(0.0, 6.0) as usize;
@@ -285,6 +290,15 @@ mod tests {
             ..Figure::default()
         };
         assert!(figure.svg().unwrap().starts_with("<svg"));
+    }
+
+    #[test]
+    fn axes_of_counts_show_whole_numbers_alone() {
+        let axis = Axis {
+            whole: true,
+            ..Axis::default()
+        };
+        assert_eq!([0.0, 0.5, 2.0].map(|v| axis.number(v)), ["0", "", "2"]);
     }
 
     #[test]

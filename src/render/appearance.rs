@@ -2,15 +2,19 @@
 //!
 //! Both images of a pair share one [`Conditions`]; only the sensor's noise differs.
 
+use std::sync::Arc;
+
 use rand::{Rng, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::world::noise::derive_seed;
-use crate::world::{Air, BodyStyle, Paint, Sun, SunPlace, Wardrobe};
+use crate::world::{Air, AssetLibrary, BodyStyle, OwnAssets, Paint, Sun, SunPlace, Wardrobe};
 
 const CONDITIONS_STREAM: u64 = 6;
+/// Keeps single ranges apart from the conditions.
+const RANGE_STREAM: u64 = 9;
 
 /// One number, or the lowest and the highest of a range.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -30,6 +34,28 @@ impl Range {
         }
     }
 
+    /// The number of a frame.
+    pub(crate) fn drawn(self, seed: u64) -> f32 {
+        self.draw(&mut Pcg64::seed_from_u64(derive_seed(
+            seed,
+            RANGE_STREAM,
+            0,
+        )))
+    }
+
+    /// Checks that it is a range, and inside of another one.
+    pub(crate) fn validate(self, name: &str, [low, high]: [f64; 2]) -> Result<()> {
+        let [first, last] = self.ends();
+        if low <= first && first <= last && last <= high {
+            return Ok(());
+        }
+        Err(Error::value(
+            format!("{name} = {first} to {last}"),
+            "out of range",
+            format!("give a number or [lowest, highest] between {low} and {high}"),
+        ))
+    }
+
     fn draw(self, rng: &mut impl Rng) -> f32 {
         let [low, high] = self.ends();
         // Drawn even where the range is one number, so that fixing one leaves the others alone.
@@ -38,14 +64,25 @@ impl Range {
     }
 }
 
+/// A vehicle's body by its name.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum BodyName {
+    /// One that the program comes with.
+    BuiltIn(BodyStyle),
+    /// One of the user's vehicles.
+    Own(String),
+}
+
 /// How much frames differ in weather, camera and sensor, and which vehicles there are.
 ///
 /// A range is `[lowest, highest]` or one number, which fixes it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Appearance {
-    /// Vehicle bodies; the others are held out.
-    pub bodies: Vec<BodyStyle>,
+    /// Vehicle bodies; the other built-in ones are held out. The user's own vehicles are drawn from
+    /// as well, unless the list names some of them: then it is those.
+    pub bodies: Vec<BodyName>,
     /// Paints; the others are held out.
     pub paints: Vec<Paint>,
     /// Share of frames under a closed layer of cloud, without shadows: 0 to 1.
@@ -79,7 +116,7 @@ pub struct Appearance {
 impl Default for Appearance {
     fn default() -> Self {
         Self {
-            bodies: BodyStyle::ALL.to_vec(),
+            bodies: BodyStyle::ALL.map(BodyName::BuiltIn).to_vec(),
             paints: Paint::ALL.to_vec(),
             overcast: 0.2,
             wet: 0.12,
@@ -99,12 +136,61 @@ impl Default for Appearance {
 }
 
 impl Appearance {
-    /// The bodies and paints that scenes may draw from.
-    pub fn wardrobe(&self) -> Wardrobe<'_> {
-        Wardrobe {
-            bodies: &self.bodies,
-            paints: &self.paints,
+    /// The bodies and paints that scenes may draw from; `own` are the user's models and the metres
+    /// of pavement for each of their props.
+    ///
+    /// # Errors
+    /// A body that is neither built in nor among the user's vehicles.
+    pub fn wardrobe(&self, own: Option<(Arc<AssetLibrary>, f64)>) -> Result<Wardrobe> {
+        let mut bodies = Vec::new();
+        let mut named = Vec::new();
+        for body in &self.bodies {
+            let name = match body {
+                BodyName::BuiltIn(style) => {
+                    bodies.push(*style);
+                    continue;
+                }
+                BodyName::Own(name) => name,
+            };
+            let mut known = own.iter().flat_map(|(library, _)| library.vehicle_names());
+            match known.position(|known| known == name) {
+                Some(number) => named.push(number),
+                None => return Err(Self::unknown_body(name, own.as_ref().map(|own| &*own.0))),
+            }
         }
+        let own = own.map(|(library, prop_spacing_m)| {
+            let vehicles = if named.is_empty() {
+                library.weighted(0..library.vehicles().len())
+            } else {
+                library.weighted(named)
+            };
+            OwnAssets {
+                library,
+                vehicles,
+                prop_spacing_m,
+            }
+        });
+        Ok(Wardrobe {
+            bodies,
+            paints: self.paints.clone(),
+            own,
+        })
+    }
+
+    fn unknown_body(name: &str, library: Option<&AssetLibrary>) -> Error {
+        let built_in = BodyStyle::ALL.map(BodyStyle::name).join(", ");
+        let remedy = match library {
+            Some(library) => {
+                let own: Vec<&str> = library.vehicle_names().collect();
+                format!("use {built_in}, or of your own: {}", own.join(", "))
+            }
+            None => format!("use {built_in}, or give the folder of your own with --assets"),
+        };
+        Error::value(
+            format!("appearance.bodies: {name:?}"),
+            "there is no such vehicle",
+            remedy,
+        )
     }
 
     /// Checks every value.
@@ -125,7 +211,7 @@ impl Appearance {
             }
         }
         let share = |value| Range::Fixed(value);
-        for (name, range, [low, high]) in [
+        for (name, range, limits) in [
             ("overcast", share(self.overcast), [0.0, 1.0]),
             ("wet", share(self.wet), [0.0, 1.0]),
             ("clouds", self.clouds, [0.0, 1.0]),
@@ -140,14 +226,7 @@ impl Appearance {
             ("jpeg", share(self.jpeg), [0.0, 1.0]),
             ("jpeg_quality", self.jpeg_quality, [10.0, 100.0]),
         ] {
-            let [first, last] = range.ends();
-            if !(low <= first && first <= last && last <= high) {
-                return Err(Error::value(
-                    format!("appearance.{name} = {first} to {last}"),
-                    "out of range",
-                    format!("give a number or [lowest, highest] between {low} and {high}"),
-                ));
-            }
+            range.validate(&format!("appearance.{name}"), limits)?;
         }
         Ok(())
     }
@@ -300,7 +379,9 @@ mod tests {
             let message = appearance.validate().unwrap_err().to_string();
             assert!(message.contains(wanted), "{message}");
         }
-        let unknown = toml::from_str::<Appearance>("bodies = [\"hovercraft\"]").unwrap_err();
-        assert!(unknown.to_string().contains("hatchback"), "{unknown}");
+        let unknown: Appearance = toml::from_str("bodies = [\"hovercraft\"]").unwrap();
+        let message = unknown.wardrobe(None).unwrap_err().to_string();
+        assert!(message.contains("hovercraft"), "{message}");
+        assert!(message.contains("hatchback"), "{message}");
     }
 }

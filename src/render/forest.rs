@@ -29,7 +29,7 @@ impl Forest {
         let templates = TEMPLATES.get_or_init(|| {
             templates()
                 .iter()
-                .map(|m| Tree::new(&m.triangles))
+                .map(|m| Tree::new(&m.triangles, None))
                 .collect()
         });
         let boxes: Vec<Aabb> = plants

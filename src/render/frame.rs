@@ -2,6 +2,7 @@
 
 use glam::Vec3A;
 use image::RgbImage;
+use rayon::prelude::*;
 
 use super::appearance::Conditions;
 use super::film::{Film, Noise};
@@ -84,13 +85,26 @@ pub fn render(
         height as usize,
         conditions.blur_pixel,
     );
-    let image = RgbImage::from_fn(width, height, |x, y| {
-        image::Rgb(film.develop(image[(y * width + x) as usize], x, y))
-    });
+    let image = develop(&film, &image, width, height);
     match conditions.jpeg_quality {
         Some(quality) => lens::compress(image, quality),
         None => image,
     }
+}
+
+fn develop(film: &Film, light: &[Vec3A], width: u32, height: u32) -> RgbImage {
+    let mut image = RgbImage::new(width, height);
+    let rows = image.par_chunks_exact_mut(3 * width as usize);
+    let light = light.par_chunks_exact(width as usize);
+    (0..height)
+        .into_par_iter()
+        .zip(rows.zip(light))
+        .for_each(|(y, (row, light))| {
+            for (x, (pixel, &light)) in (0..).zip(row.chunks_exact_mut(3).zip(light)) {
+                pixel.copy_from_slice(&film.develop(light, x, y));
+            }
+        });
+    image
 }
 
 /// The camera's white balance: it takes out a good half of the light's colour, as cameras do, so
@@ -99,6 +113,22 @@ fn balance(light: &Light) -> Vec3A {
     let white = light.sun * light.direction.z.max(0.15) + light.skylight(Vec3A::Z);
     let scaled = white / white.dot(LUMA);
     Vec3A::from_array(scaled.to_array().map(|v| libm::powf(v, -0.55)))
+}
+
+/// A value for each pixel, row by row; rows are shared by the threads.
+fn by_rows<T: Send + Clone + Default>(
+    width: u32,
+    height: u32,
+    pixel: impl Fn(u32, u32) -> T + Sync,
+) -> Vec<T> {
+    let mut values = vec![T::default(); width as usize * height as usize];
+    let rows = values.par_chunks_exact_mut(width as usize);
+    (0..height).into_par_iter().zip(rows).for_each(|(y, row)| {
+        for (x, value) in (0..).zip(row) {
+            *value = pixel(x, y);
+        }
+    });
+    values
 }
 
 /// One camera's rays.
@@ -116,27 +146,22 @@ impl View<'_> {
     fn image(&self, side: u32, exposure: f32) -> Vec<Vec3A> {
         let camera = self.eye.camera(self.rig);
         let (width, height) = (camera.width, camera.height);
-        let coarse: Vec<Sample> = (0..height)
-            .flat_map(|y| (0..width).map(move |x| (x, y)))
-            .map(|(x, y)| self.sample(f64::from(x) + 0.5, f64::from(y) + 0.5, 1.0, None))
-            .collect();
+        let coarse: Vec<Sample> = by_rows(width, height, |x, y| {
+            self.sample(f64::from(x) + 0.5, f64::from(y) + 0.5, 1.0, None)
+        });
         let around = Around {
             samples: &coarse,
             width,
             height,
             dark: 0.01 / exposure,
         };
-        (0..height)
-            .flat_map(|y| (0..width).map(move |x| (x, y)))
-            .map(|(x, y)| {
-                let here = around.at(x, y);
-                if side > 1 && around.is_edge(x, y) {
-                    self.average(x, y, side, around.lit(x, y))
-                } else {
-                    here.light
-                }
-            })
-            .collect()
+        by_rows(width, height, |x, y| {
+            if side > 1 && around.is_edge(x, y) {
+                self.average(x, y, side, around.lit(x, y))
+            } else {
+                around.at(x, y).light
+            }
+        })
     }
 
     /// The factor that the camera's automatic exposure chooses: the scene's middle brightness,

@@ -7,6 +7,7 @@ use crate::world::facade::{Sight, shop_color};
 use crate::world::mesh::{Surface, Triangle, VehiclePart};
 use crate::world::noise::{self, fractal, mix, smooth_step, stripes};
 use crate::world::tree::leaf_openness;
+use crate::world::vehicle::Kind;
 use crate::world::{Vehicle, ground, livery};
 
 /// Key of the sky and the ground among the faces of triangles.
@@ -94,13 +95,49 @@ pub(super) fn point(stage: &Stage, gaze: &Gaze, hit: &Hit) -> (Point, u32) {
     let face = triangle.face + GROUND_FACE;
     if let Object::Vehicle(index) = hit.object {
         let vehicle = &stage.scene.vehicles[usize::from(index)];
-        let point = vehicle_point(vehicle, triangle.surface, at, normal, footprint_m);
+        let point = match triangle.surface {
+            Surface::Model(..) => Point {
+                open: mix(0.40, 1.0, smooth_step(0.0, 0.9, at.z)),
+                ..model_point(stage, triangle, at, normal, footprint_m)
+            },
+            surface => vehicle_point(vehicle, surface, at, normal, footprint_m),
+        };
         return (point, (face ^ (u32::from(index) << 16)) | VEHICLE_FACES);
     }
-    (
-        surface(stage, gaze, triangle.surface, at, normal, footprint_m),
-        face,
-    )
+    let point = match triangle.surface {
+        Surface::Model(..) => Point {
+            open: mix(0.6, 1.0, smooth_step(0.0, 0.6, at.z)),
+            ..model_point(stage, triangle, at, normal, footprint_m)
+        },
+        kind => surface(stage, gaze, kind, at, normal, footprint_m),
+    };
+    (point, face)
+}
+
+/// A point of a model of the user's.
+fn model_point(
+    stage: &Stage,
+    triangle: &Triangle,
+    at: Vec3A,
+    normal: Vec3A,
+    footprint_m: f32,
+) -> Point {
+    let point = Point::matt(at, normal, Vec3A::splat(0.1));
+    let (Surface::Model(model, part), Some(library)) = (triangle.surface, &stage.scene.library)
+    else {
+        return point;
+    };
+    let coat = library
+        .model(model)
+        .coat(part, corner_weights(triangle, at), footprint_m);
+    Point {
+        albedo: coat.albedo,
+        mirror: coat.mirror,
+        gloss: coat.gloss,
+        flakes: coat.flakes,
+        glow: coat.glow,
+        ..point
+    }
 }
 
 fn toward(normal: Vec3A, direction: Vec3A) -> Vec3A {
@@ -163,10 +200,12 @@ fn vehicle_shade(stage: &Stage, at: Vec3A) -> f32 {
     const REACH_M: f32 = 6.0;
     let shade = |vehicle: &Vehicle| {
         let [x, y, _] = vehicle.center_world.map(|v| v as f32);
-        if (at.x - x).abs() > REACH_M || (at.y - y).abs() > REACH_M {
+        let [length, width, _] = vehicle.size_m.map(|v| v as f32 * 0.5);
+        // A lorry or a bus is longer.
+        let reach_m = REACH_M.max(length + 2.5);
+        if (at.x - x).abs() > reach_m || (at.y - y).abs() > reach_m {
             return 1.0;
         }
-        let [length, width, _] = vehicle.size_m.map(|v| v as f32 * 0.5);
         let local = vehicle.vehicle_from_world(at);
         let [dx, dy] = [
             (local.x.abs() - length * 0.93).max(0.0),
@@ -175,7 +214,7 @@ fn vehicle_shade(stage: &Stage, at: Vec3A) -> f32 {
         let apart = (dx * dx + dy * dy).sqrt();
         let open = mix(0.10, 1.0, (apart / (apart + 0.28)).min(1.0));
         // Gone at the reach, so that no edge shows there.
-        let far = (at.x - x).abs().max((at.y - y).abs()) / REACH_M;
+        let far = (at.x - x).abs().max((at.y - y).abs()) / reach_m;
         mix(open, 1.0, far * far * far * far)
     };
     stage.scene.vehicles.iter().map(shade).product()
@@ -300,8 +339,8 @@ fn surface(
         Surface::Painted(index) => painted(index, at, normal, footprint_m),
         Surface::Sign => sign(at, normal),
         Surface::Signal(lit) => signal(at, normal, lit),
-        // Vehicles have a function of their own.
-        Surface::Vehicle(_) => matt(Vec3A::splat(0.1)),
+        // Vehicles and models have functions of their own.
+        Surface::Vehicle(_) | Surface::Model(..) => matt(Vec3A::splat(0.1)),
     }
 }
 
@@ -312,12 +351,12 @@ fn vehicle_point(
     normal: Vec3A,
     footprint_m: f32,
 ) -> Point {
-    let Surface::Vehicle(part) = surface else {
+    let (Surface::Vehicle(part), Kind::BuiltIn(bodywork)) = (surface, &vehicle.kind) else {
         return Point::matt(at, normal, Vec3A::splat(0.1));
     };
     let local = vehicle.vehicle_from_world(at);
     let local_normal = vehicle.vehicle_direction_from_world(normal);
-    let finish = livery::finish(vehicle, part, local, local_normal, footprint_m);
+    let finish = livery::finish(bodywork, part, local, local_normal, footprint_m);
     let low = if part == VehiclePart::Wheel {
         0.25
     } else {
@@ -393,13 +432,19 @@ fn stretch(facing: f32) -> f32 {
 
 /// The shading normal at a point of a triangle.
 fn smooth_normal(triangle: &Triangle, at: Vec3A) -> Vec3A {
-    let [a, b, c] = triangle.vertices;
+    let [v, w] = corner_weights(triangle, at);
     let [na, nb, nc] = triangle.normals;
+    (na * (1.0 - v - w) + nb * v + nc * w).normalize_or(Vec3A::Z)
+}
+
+/// The weights of a triangle's second and third corner at a point of it.
+fn corner_weights(triangle: &Triangle, at: Vec3A) -> [f32; 2] {
+    let [a, b, c] = triangle.vertices;
     let (e1, e2, s) = (b - a, c - a, at - a);
     let [d11, d12, d22] = [e1.dot(e1), e1.dot(e2), e2.dot(e2)];
     let [d1, d2] = [s.dot(e1), s.dot(e2)];
     let scale = 1.0 / (d11 * d22 - d12 * d12);
     let v = (d22 * d1 - d12 * d2) * scale;
     let w = (d11 * d2 - d12 * d1) * scale;
-    (na * (1.0 - v - w) + nb * v + nc * w).normalize_or(Vec3A::Z)
+    [v, w]
 }

@@ -19,7 +19,7 @@ mod shade;
 mod silhouette;
 mod trace;
 
-pub use appearance::{Appearance, Conditions, Range};
+pub use appearance::{Appearance, BodyName, Conditions, Range};
 pub use frame::{RenderSettings, render};
 pub use maps::{Instances, depth};
 pub use pose::{Eye, RigPose};

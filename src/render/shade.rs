@@ -14,7 +14,7 @@ const SUN_RADIUS: f32 = 0.002_3;
 const LEAST_SHARE: f32 = 0.035;
 
 /// What a ray brings back.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sample {
     /// Linear light, before exposure.
     pub light: Vec3A,
@@ -25,9 +25,10 @@ pub(crate) struct Sample {
 }
 
 /// Whether the sun reaches a point.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Lit {
     /// The point faces away, or there is no sun.
+    #[default]
     Dark,
     /// Something stands in the way.
     Shaded,

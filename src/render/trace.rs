@@ -1,5 +1,7 @@
 //! Rays against the scene: what do they hit first, and is the way free?
 
+use std::sync::Arc;
+
 use glam::Vec3A;
 use obvhs::BvhBuildParams;
 use obvhs::cwbvh::CwBvh;
@@ -8,9 +10,9 @@ use obvhs::ray::{Ray, RayHit};
 
 use super::forest::Forest;
 use super::openness::Openness;
-use crate::world::Scene;
-use crate::world::mesh::Triangle;
+use crate::world::mesh::{Surface, Triangle};
 use crate::world::tree::Plant;
+use crate::world::{AssetLibrary, Scene};
 
 /// Barycentric coordinates may leave the triangle by this much, so that rays cannot slip through
 /// between two triangles that share an edge.
@@ -55,7 +57,7 @@ pub struct Stage {
 impl std::fmt::Debug for Stage {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Stage")
-            .field("target", &self.scene.target().style())
+            .field("target", &self.scene.target().body_name())
             .field("vehicles", &self.vehicles.len())
             .field("triangles", &self.all.triangles.len())
             .finish_non_exhaustive()
@@ -69,10 +71,19 @@ pub(super) struct Tree {
     edges: Vec<[Vec3A; 3]>,
     triangles: Vec<Triangle>,
     bounds: [Vec3A; 2],
+    /// Knows the holes in models of the user's; None where no triangle has any.
+    library: Option<Arc<AssetLibrary>>,
 }
 
 impl Tree {
-    pub fn new(triangles: &[Triangle]) -> Self {
+    /// `library` has the models of the triangles that are of one.
+    pub fn new(triangles: &[Triangle], library: Option<&Arc<AssetLibrary>>) -> Self {
+        let library = library.filter(|library| {
+            triangles.iter().any(|triangle| match triangle.surface {
+                Surface::Model(model, part) => library.model(model).has_holes(part),
+                _ => false,
+            })
+        });
         let bare: Vec<obvhs::triangle::Triangle> = triangles
             .iter()
             .map(|t| obvhs::triangle::Triangle {
@@ -107,6 +118,7 @@ impl Tree {
             edges,
             triangles,
             bounds,
+            library: library.cloned(),
         }
     }
 
@@ -123,10 +135,20 @@ impl Tree {
         let t = edge_2.dot(q) * scale;
         // A ray in the triangle's plane divides by zero; every comparison with NaN is false.
         let inside = u >= -EDGE_TOLERANCE && v >= -EDGE_TOLERANCE && u + v <= 1.0 + EDGE_TOLERANCE;
-        if inside && t >= ray.tmin {
+        if inside && t >= ray.tmin && (self.library.is_none() || self.is_solid(index, [u, v])) {
             t
         } else {
             f32::INFINITY
+        }
+    }
+
+    /// Whether a point of a triangle is no hole of a model.
+    fn is_solid(&self, index: usize, weights: [f32; 2]) -> bool {
+        match (self.triangles[index].surface, &self.library) {
+            (Surface::Model(model, part), Some(library)) => {
+                library.model(model).is_solid(part, weights)
+            }
+            _ => true,
         }
     }
 
@@ -183,9 +205,9 @@ impl Stage {
             let own = std::mem::take(&mut vehicle.triangles);
             objects.resize(objects.len() + own.len(), Object::Vehicle(index));
             triangles.extend_from_slice(&own);
-            vehicles.push(Tree::new(&own));
+            vehicles.push(Tree::new(&own, scene.library.as_ref()));
         }
-        let all = Tree::new(&triangles);
+        let all = Tree::new(&triangles, scene.library.as_ref());
         let objects = all
             .bvh
             .primitive_indices

@@ -84,7 +84,7 @@ fn sgd(momentum: f64) -> SgdConfig {
 /// included.
 ///
 /// # Errors
-/// A name that fits no parameter.
+/// A name that fits no parameter, or names that leave nothing to train.
 pub fn freeze<M: Module>(module: M, setting: &str, names: &[String]) -> Result<M> {
     let mut module = module;
     for name in names {
@@ -109,7 +109,27 @@ pub fn freeze<M: Module>(module: M, setting: &str, names: &[String]) -> Result<M
         };
         module = module.freeze_group(group);
     }
+    if !names.is_empty() && !is_trainable(&module) {
+        return Err(Error::value(
+            setting.to_owned(),
+            "freezes every part, so that there is nothing to train",
+            "leave at least one part out",
+        ));
+    }
     Ok(module)
+}
+
+/// Whether any parameter still takes gradients.
+fn is_trainable<M: Module>(module: &M) -> bool {
+    struct Any(bool);
+    impl ModuleVisitor for Any {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            self.0 |= param.val().is_require_grad();
+        }
+    }
+    let mut any = Any(false);
+    module.visit(&mut any);
+    any.0
 }
 
 fn is_boundary(rest: &str) -> bool {

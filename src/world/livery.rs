@@ -10,7 +10,7 @@ use glam::Vec3A;
 use super::body::{ARCH, CabinOutline, belt_height, rail_height};
 use super::mesh::VehiclePart;
 use super::noise::{self, mix, stripe, stripes};
-use super::vehicle::{BodyStyle, Shape, Vehicle};
+use super::vehicle::{BodyStyle, Bodywork, Shape};
 use details::{cargo, head_lamp, number_plate, roof_sign, tail_lamp};
 
 /// What a point of the car sends back.
@@ -63,7 +63,7 @@ const HOLLOW: Finish = Finish {
 
 /// The finish of a point, both arguments in vehicle axes.
 pub(crate) fn finish(
-    vehicle: &Vehicle,
+    vehicle: &Bodywork,
     part: VehiclePart,
     at: Vec3A,
     normal: Vec3A,
@@ -94,7 +94,7 @@ fn within(value: f32, low: f32, high: f32) -> bool {
     value >= low && value <= high
 }
 
-fn body(vehicle: &Vehicle, coat: Finish, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Finish {
+fn body(vehicle: &Bodywork, coat: Finish, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Finish {
     let shape = &vehicle.shape;
     let half_width = shape.width * 0.5;
     let across = at.y.abs() / half_width;
@@ -155,7 +155,7 @@ fn body(vehicle: &Vehicle, coat: Finish, at: Vec3A, normal: Vec3A, footprint_m: 
 }
 
 fn front(
-    vehicle: &Vehicle,
+    vehicle: &Bodywork,
     at: Vec3A,
     across: f32,
     to_front: f32,
@@ -195,7 +195,7 @@ fn front(
 }
 
 fn rear(
-    vehicle: &Vehicle,
+    vehicle: &Bodywork,
     at: Vec3A,
     across: f32,
     to_rear: f32,
@@ -273,7 +273,7 @@ fn door_edges(shape: &Shape) -> [f32; 3] {
     [first, first + (last - first) * share, last]
 }
 
-fn cabin(vehicle: &Vehicle, coat: Finish, at: Vec3A, normal: Vec3A) -> Finish {
+fn cabin(vehicle: &Bodywork, coat: Finish, at: Vec3A, normal: Vec3A) -> Finish {
     let shape = &vehicle.shape;
     let rail = rail_height(shape);
     let belt = belt_height(shape, 0.5 - at.x / shape.length);

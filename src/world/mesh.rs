@@ -29,6 +29,8 @@ pub(crate) enum Surface {
     Signal(u16),
     /// Part of the vehicle.
     Vehicle(VehiclePart),
+    /// Part of a model of the user's: its number, and the triangle's in it.
+    Model(u16, u32),
 }
 
 /// Which part of the vehicle a triangle belongs to.
@@ -89,6 +91,16 @@ impl Mesh {
             surface,
             face,
         });
+    }
+
+    /// Triangles from elsewhere, with their own division into faces.
+    pub fn append(&mut self, triangles: impl IntoIterator<Item = Triangle>) {
+        let first = self.next_face;
+        for triangle in triangles {
+            let face = first + triangle.face;
+            self.next_face = self.next_face.max(face);
+            self.triangles.push(Triangle { face, ..triangle });
+        }
     }
 
     /// One triangle of a face.

@@ -1,11 +1,15 @@
 //! One scene: a city with vehicles in it.
 
+use std::sync::Arc;
+
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
+use super::assets::AssetLibrary;
 use super::city::City;
 use super::layout::Layout;
 use super::noise::derive_seed;
+use super::props;
 use super::traffic;
 use super::vehicle::{Vehicle, Wardrobe};
 
@@ -13,6 +17,8 @@ use super::vehicle::{Vehicle, Wardrobe};
 const SCENE_STREAM: u64 = 1;
 /// Those of the vehicles around the target: how many there are changes nothing else.
 const TRAFFIC_STREAM: u64 = 6;
+/// Those of the user's props.
+const PROPS_STREAM: u64 = 8;
 
 /// A city with vehicles on its roads.
 ///
@@ -24,6 +30,8 @@ pub struct Scene {
     /// Turns the compass, and with it the sun, against the streets, degrees.
     pub compass_deg: f32,
     pub(crate) city: City,
+    /// The user's models, where some may stand here.
+    pub(crate) library: Option<Arc<AssetLibrary>>,
 }
 
 impl Scene {
@@ -32,10 +40,10 @@ impl Scene {
     /// `reach_m` is how far from the vehicle a camera may be. Scenes of one seed have different
     /// cities, and neighbouring ones different vehicle styles and paints.
     pub fn draw(seed: u64, number: u32, reach_m: f64) -> Self {
-        Self::draw_alone(seed, number, reach_m, Wardrobe::ALL)
+        Self::draw_alone(seed, number, reach_m, &Wardrobe::default())
     }
 
-    fn draw_alone(seed: u64, number: u32, reach_m: f64, wardrobe: Wardrobe) -> Self {
+    fn draw_alone(seed: u64, number: u32, reach_m: f64, wardrobe: &Wardrobe) -> Self {
         let mut rng = Pcg64::seed_from_u64(derive_seed(seed, SCENE_STREAM, u64::from(number)));
         // The view goes on behind the vehicle: without blocks there it would end in a plain.
         let reach_m = reach_m as f32 + 150.0;
@@ -54,6 +62,7 @@ impl Scene {
             vehicles: vec![vehicle],
             compass_deg: rng.random_range(0.0..360.0),
             city,
+            library: wardrobe.own.as_ref().map(|own| Arc::clone(&own.library)),
         }
     }
 
@@ -69,19 +78,30 @@ impl Scene {
         vehicles: u32,
         radius_m: f64,
     ) -> Self {
-        Self::draw_dressed(seed, number, reach_m, vehicles, radius_m, Wardrobe::ALL)
+        let wardrobe = Wardrobe::default();
+        Self::draw_dressed(seed, number, reach_m, vehicles, radius_m, &wardrobe)
     }
 
-    /// [`Scene::draw_with_traffic`] with bodies and paints of a wardrobe only.
+    /// [`Scene::draw_with_traffic`] with bodies and paints of a wardrobe only, and with its props.
     pub fn draw_dressed(
         seed: u64,
         number: u32,
         reach_m: f64,
         vehicles: u32,
         radius_m: f64,
-        wardrobe: Wardrobe,
+        wardrobe: &Wardrobe,
     ) -> Self {
         let mut scene = Self::draw_alone(seed, number, reach_m, wardrobe);
+        if let Some(own) = &wardrobe.own {
+            let seed = derive_seed(seed, PROPS_STREAM, u64::from(number));
+            let [x, y, _] = scene.target().center_world.map(|v| v as f32);
+            props::furnish(
+                &mut scene.city,
+                own,
+                [x, y],
+                &mut Pcg64::seed_from_u64(seed),
+            );
+        }
         let stream_seed = derive_seed(seed, TRAFFIC_STREAM, u64::from(number));
         let mut rng = Pcg64::seed_from_u64(stream_seed);
         let others = traffic::surround(
@@ -128,7 +148,7 @@ mod tests {
         };
         assert_eq!(corners(&a), corners(&b));
         assert_ne!(corners(&a), corners(&c));
-        assert_ne!(a.target().style(), c.target().style());
+        assert_ne!(a.target().body_name(), c.target().body_name());
     }
 
     #[test]
@@ -145,14 +165,15 @@ mod tests {
         let bodies = [BodyStyle::Taxi, BodyStyle::Truck, BodyStyle::Compact];
         let paints = [Paint::Red, Paint::Navy];
         let wardrobe = Wardrobe {
-            bodies: &bodies,
-            paints: &paints,
+            bodies: bodies.to_vec(),
+            paints: paints.to_vec(),
+            own: None,
         };
         for number in 0..8 {
-            let scene = Scene::draw_dressed(2, number, 60.0, 6, 30.0, wardrobe);
+            let scene = Scene::draw_dressed(2, number, 60.0, 6, 30.0, &wardrobe);
             for vehicle in &scene.vehicles {
-                assert!(bodies.contains(&vehicle.style()));
-                assert!(paints.contains(&vehicle.paint_name()));
+                assert!(bodies.iter().any(|body| body.name() == vehicle.body_name()));
+                assert!(paints.contains(&vehicle.paint_name().unwrap()));
             }
         }
     }

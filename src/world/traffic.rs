@@ -8,8 +8,6 @@ use super::vehicle::{Vehicle, Wardrobe};
 
 /// Places tried for each vehicle before the scene does without it.
 const ATTEMPTS: u32 = 60;
-/// Half of the length and width kept free for a vehicle before it is drawn: those of a truck.
-const LARGEST_HALF_M: [f64; 2] = [3.15, 1.15];
 /// Free road before and behind, and beside a vehicle, metres.
 const GAP_M: [f64; 2] = [0.6, 0.25];
 /// Heights between which nothing of the city may stand where a vehicle does, metres: kerbs are
@@ -24,10 +22,11 @@ const PARKED_M: f32 = 1.15;
 
 /// A rectangle on the ground that a vehicle takes up.
 #[derive(Debug, Clone, Copy)]
-struct Footprint {
-    at: [f64; 2],
-    heading: f64,
-    half: [f64; 2],
+pub(super) struct Footprint {
+    pub at: [f64; 2],
+    pub heading: f64,
+    /// Half of its length and of its width, metres.
+    pub half: [f64; 2],
 }
 
 impl Footprint {
@@ -73,7 +72,7 @@ impl Footprint {
     }
 
     /// The axis-aligned rectangle around it: lowest and highest corner.
-    fn bounds(&self) -> [[f32; 2]; 2] {
+    pub fn bounds(&self) -> [[f32; 2]; 2] {
         let reach = [self.reach([1.0, 0.0]), self.reach([0.0, 1.0])];
         [-1.0, 1.0].map(|sign| [0, 1].map(|i| (self.at[i] + sign * reach[i]) as f32))
     }
@@ -87,7 +86,7 @@ pub(super) struct Crowd<'a> {
     pub count: u32,
     /// Distance from the target, metres.
     pub radius_m: f64,
-    pub wardrobe: Wardrobe<'a>,
+    pub wardrobe: &'a Wardrobe,
 }
 
 /// Vehicles beside the target: `count` of them, or fewer where there is no room, within about
@@ -112,8 +111,9 @@ pub(super) fn surround(
     let mut taken = vec![Footprint::of(target)];
     let mut vehicles = Vec::new();
     for number in 0..count {
+        let room_m = wardrobe.room_m(first_number + number);
         let place = (0..ATTEMPTS).find_map(|_| {
-            let place = draw_place([x, y], radius_m, city, rng)?;
+            let place = draw_place([x, y], radius_m, room_m, city, rng)?;
             let grown = place.grown(GAP_M);
             let free = !taken.iter().any(|other| grown.overlaps(other))
                 && !obstacles.iter().any(|o| intersect(o, &place.bounds()));
@@ -138,6 +138,7 @@ pub(super) fn surround(
 fn draw_place(
     target: [f64; 2],
     radius_m: f64,
+    room_m: [f64; 2],
     city: &City,
     rng: &mut impl Rng,
 ) -> Option<Footprint> {
@@ -172,7 +173,7 @@ fn draw_place(
         return None;
     }
     let side = if parked {
-        road.half_width - PARKED_M
+        road.half_width - PARKED_M.max(room_m[1] as f32)
     } else if road.half_width > 5.0 {
         road.half_width * [0.25, 0.75][rng.random_range(0..2_usize)]
     } else {
@@ -199,12 +200,12 @@ fn draw_place(
     Some(Footprint {
         at,
         heading,
-        half: LARGEST_HALF_M,
+        half: room_m,
     })
 }
 
 /// Rectangles around the city's triangles that a vehicle could run into.
-fn obstacles(city: &City, around: [f32; 2], radius_m: f32) -> Vec<[[f32; 2]; 2]> {
+pub(super) fn obstacles(city: &City, around: [f32; 2], radius_m: f32) -> Vec<[[f32; 2]; 2]> {
     let area = [-radius_m, radius_m].map(|r| around.map(|v| v + r));
     city.mesh
         .triangles
@@ -287,7 +288,7 @@ mod tests {
         for scene in scenes() {
             found += scene.vehicles.len();
             for pair in scene.vehicles.windows(2) {
-                assert_ne!(pair[0].style(), pair[1].style());
+                assert_ne!(pair[0].body_name(), pair[1].body_name());
             }
         }
         assert!(found > 12 * 7, "{found} of {}", 12 * 8);

@@ -3,12 +3,15 @@
 //! Vehicle axes: x forward, y left, z up, metres, the origin on the ground under the middle of the
 //! car. The *vehicle's origin* of labels is the centre of its bounding box.
 
+use std::sync::Arc;
+
 use glam::Vec3A;
 use rand::{Rng, RngExt as _};
 use serde::{Deserialize, Serialize};
 
+use super::assets::{Asset, AssetLibrary};
 use super::body;
-use super::mesh::{Mesh, Triangle};
+use super::mesh::Triangle;
 use super::paint::Paint;
 
 /// Body styles.
@@ -149,17 +152,32 @@ impl Shape {
     }
 }
 
-/// A vehicle, standing somewhere.
+/// The body of a built-in vehicle.
 #[derive(Debug, Clone)]
-pub struct Vehicle {
-    pub(crate) shape: Shape,
+pub(crate) struct Bodywork {
+    pub shape: Shape,
     /// Name of its paint.
     finish: Paint,
     /// Diffuse colour of its paint, and colour of the metal flakes in it.
-    pub(crate) paint: Vec3A,
-    pub(crate) flakes: Vec3A,
+    pub paint: Vec3A,
+    pub flakes: Vec3A,
     /// Plates, lamps and trim vary with it.
-    pub(crate) seed: u32,
+    pub seed: u32,
+}
+
+/// What a vehicle is.
+#[derive(Debug, Clone)]
+pub(crate) enum Kind {
+    /// One of the built-in bodies.
+    BuiltIn(Box<Bodywork>),
+    /// A model of the user's, by its name.
+    Model(Arc<str>),
+}
+
+/// A vehicle, standing somewhere.
+#[derive(Debug, Clone)]
+pub struct Vehicle {
+    pub(crate) kind: Kind,
     /// Centre of the bounding box, metres, world.
     pub center_world: [f64; 3],
     /// Unit vector of its forward direction, world.
@@ -170,20 +188,78 @@ pub struct Vehicle {
 }
 
 /// The bodies and paints that a scene may draw from.
-#[derive(Debug, Clone, Copy)]
-pub struct Wardrobe<'a> {
-    /// Bodies.
-    pub bodies: &'a [BodyStyle],
-    /// Paints.
-    pub paints: &'a [Paint],
+#[derive(Debug, Clone)]
+pub struct Wardrobe {
+    /// Built-in bodies; may be empty where the user's own make up for it.
+    pub bodies: Vec<BodyStyle>,
+    /// Paints of the built-in bodies, at least one.
+    pub paints: Vec<Paint>,
+    /// The user's own vehicles and props.
+    pub own: Option<OwnAssets>,
 }
 
-impl Wardrobe<'static> {
-    /// Every body and every paint.
-    pub const ALL: Self = Self {
-        bodies: &BodyStyle::ALL,
-        paints: &Paint::ALL,
-    };
+/// The user's vehicles and props that a scene may draw from.
+#[derive(Debug, Clone)]
+pub struct OwnAssets {
+    /// All that there are.
+    pub library: Arc<AssetLibrary>,
+    /// Numbers of the vehicles to draw from, each as often as its weight says.
+    pub(crate) vehicles: Vec<u16>,
+    /// Metres of pavement for each prop.
+    pub prop_spacing_m: f64,
+}
+
+impl Default for Wardrobe {
+    /// Every built-in body and every paint.
+    fn default() -> Self {
+        Self {
+            bodies: BodyStyle::ALL.to_vec(),
+            paints: Paint::ALL.to_vec(),
+            own: None,
+        }
+    }
+}
+
+/// The body that a vehicle of some number has.
+#[derive(Debug, Clone, Copy)]
+enum Body<'a> {
+    BuiltIn(BodyStyle),
+    Own(&'a Asset),
+}
+
+impl Wardrobe {
+    fn own_vehicles(&self) -> &[u16] {
+        self.own.as_ref().map_or(&[], |own| &own.vehicles)
+    }
+
+    /// How many bodies there are.
+    fn count(&self) -> usize {
+        self.bodies.len() + self.own_vehicles().len()
+    }
+
+    fn body(&self, number: u32) -> Body<'_> {
+        let place = number as usize % self.count();
+        match (self.bodies.get(place), &self.own) {
+            (None, Some(own)) => {
+                let number = own.vehicles[place - self.bodies.len()];
+                Body::Own(own.library.asset(number))
+            }
+            (style, _) => Body::BuiltIn(style.copied().unwrap_or(BodyStyle::Sedan)),
+        }
+    }
+
+    /// Half the length and the width to keep free for a vehicle of a number, metres.
+    pub(crate) fn room_m(&self, number: u32) -> [f64; 2] {
+        /// Those of a truck, the largest built-in body.
+        const LARGEST_HALF_M: [f64; 2] = [3.15, 1.15];
+        match self.body(number) {
+            Body::BuiltIn(_) => LARGEST_HALF_M,
+            Body::Own(asset) => {
+                let [length, width, _] = asset.model.size_m;
+                [length, width].map(|size| 0.5 * f64::from(size))
+            }
+        }
+    }
 }
 
 impl Vehicle {
@@ -193,14 +269,24 @@ impl Vehicle {
     /// It stands at `(x, y)` on the ground and heads `heading` radians from the world's x axis.
     pub(crate) fn draw(
         number: u32,
-        wardrobe: Wardrobe,
+        wardrobe: &Wardrobe,
         at: [f64; 2],
         heading: f64,
         rng: &mut impl Rng,
     ) -> Self {
-        let Wardrobe { bodies, paints } = wardrobe;
-        let mut shape = Shape::of(bodies[number as usize % bodies.len()]);
+        let paints = &wardrobe.paints;
+        // Drawn for every body, so that one of the user's leaves the city as it is.
         let [length, width, height] = [(); 3].map(|()| rng.random_range(0.95..1.05_f32));
+        let shade = rng.random_range(0.85..1.15_f32);
+        let seed = rng.random();
+        let style = match wardrobe.body(number) {
+            Body::BuiltIn(style) => style,
+            Body::Own(asset) => {
+                let kind = Kind::Model(asset.name.as_str().into());
+                return Self::place(kind, &asset.model.triangles, at, heading);
+            }
+        };
+        let mut shape = Shape::of(style);
         shape.length *= length;
         shape.wheelbase *= length;
         shape.width *= width;
@@ -208,27 +294,24 @@ impl Vehicle {
         // Steps of one visit every paint before one repeats; the shift after each round of styles
         // keeps style and paint from pairing up.
         let place = number as usize;
-        let paint = paints[(place + place / bodies.len() + 3) % paints.len()];
-        let shade = rng.random_range(0.85..1.15_f32);
-        let colors = paint
+        let paint = paints[(place + place / wardrobe.count() + 3) % paints.len()];
+        let [color, flakes] = paint
             .colors()
             .map(|c| (Vec3A::from_array(c) * shade).min(Vec3A::splat(0.80)));
         let mesh = body::build(&shape);
-        let seed = rng.random();
-        Self::place(shape, paint, colors, seed, &mesh, at, heading)
+        let kind = Kind::BuiltIn(Box::new(Bodywork {
+            shape,
+            finish: paint,
+            paint: color,
+            flakes,
+            seed,
+        }));
+        Self::place(kind, &mesh.triangles, at, heading)
     }
 
-    fn place(
-        shape: Shape,
-        finish: Paint,
-        [paint, flakes]: [Vec3A; 2],
-        seed: u32,
-        mesh: &Mesh,
-        at: [f64; 2],
-        heading: f64,
-    ) -> Self {
+    fn place(kind: Kind, triangles: &[Triangle], at: [f64; 2], heading: f64) -> Self {
         let (mut low, mut high) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
-        for vertex in mesh.triangles.iter().flat_map(|t| t.vertices) {
+        for vertex in triangles.iter().flat_map(|t| t.vertices) {
             low = low.min(vertex);
             high = high.max(vertex);
         }
@@ -237,28 +320,15 @@ impl Vehicle {
         let forward_world = [cos, sin, 0.0];
         // The mesh is symmetric from side to side, and its middle is where the caller wants it.
         let center_world = [at[0], at[1], f64::from(middle.z)];
-        let rotate = |v: Vec3A| {
-            let (x, y) = (f64::from(v.x), f64::from(v.y));
-            Vec3A::new((x * cos - y * sin) as f32, (x * sin + y * cos) as f32, v.z)
-        };
-        let base = Vec3A::new(at[0] as f32, at[1] as f32, 0.0);
         let offset = Vec3A::new(middle.x, middle.y, 0.0);
-        let triangles = mesh
-            .triangles
-            .iter()
-            .map(|t| Triangle {
-                vertices: t.vertices.map(|v| rotate(v - offset) + base),
-                normals: t.normals.map(rotate),
-                ..*t
-            })
-            .collect();
+        let centred = triangles.iter().map(|t| Triangle {
+            vertices: t.vertices.map(|v| v - offset),
+            ..*t
+        });
+        let triangles = placed(centred, at, heading).collect();
         let size_m = (high - low).to_array().map(f64::from);
         Self {
-            shape,
-            finish,
-            paint,
-            flakes,
-            seed,
+            kind,
             center_world,
             forward_world,
             size_m,
@@ -266,14 +336,20 @@ impl Vehicle {
         }
     }
 
-    /// Style of its body.
-    pub fn style(&self) -> BodyStyle {
-        self.shape.style
+    /// Name of its body in files.
+    pub fn body_name(&self) -> &str {
+        match &self.kind {
+            Kind::BuiltIn(bodywork) => bodywork.shape.style.name(),
+            Kind::Model(name) => name,
+        }
     }
 
-    /// Its paint.
-    pub const fn paint_name(&self) -> Paint {
-        self.finish
+    /// Its paint; None for a model of the user's.
+    pub fn paint_name(&self) -> Option<Paint> {
+        match &self.kind {
+            Kind::BuiltIn(bodywork) => Some(bodywork.finish),
+            Kind::Model(_) => None,
+        }
     }
 
     /// Radius of the bounding sphere: half the diagonal of the bounding box, metres.
@@ -308,6 +384,28 @@ impl Vehicle {
     }
 }
 
+/// Triangles turned by `heading` radians about the origin and put at a place on the ground.
+pub(crate) fn placed<T: std::borrow::Borrow<Triangle>>(
+    triangles: impl IntoIterator<Item = T>,
+    at: [f64; 2],
+    heading: f64,
+) -> impl Iterator<Item = Triangle> {
+    let [sin, cos] = [libm::sin(heading), libm::cos(heading)];
+    let rotate = move |v: Vec3A| {
+        let (x, y) = (f64::from(v.x), f64::from(v.y));
+        Vec3A::new((x * cos - y * sin) as f32, (x * sin + y * cos) as f32, v.z)
+    };
+    let base = Vec3A::new(at[0] as f32, at[1] as f32, 0.0);
+    triangles.into_iter().map(move |triangle| {
+        let t = triangle.borrow();
+        Triangle {
+            vertices: t.vertices.map(|v| rotate(v) + base),
+            normals: t.normals.map(rotate),
+            ..*t
+        }
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use rand::SeedableRng as _;
@@ -319,7 +417,7 @@ mod tests {
     fn every_style_fills_a_box_of_about_its_size_around_its_centre() {
         let mut rng = Pcg64::seed_from_u64(5);
         for number in 0..11 {
-            let vehicle = Vehicle::draw(number, Wardrobe::ALL, [3.0, -2.0], 0.7, &mut rng);
+            let vehicle = Vehicle::draw(number, &Wardrobe::default(), [3.0, -2.0], 0.7, &mut rng);
             let [length, width, height] = vehicle.size_m;
             assert!((3.3..6.3).contains(&length), "{length}");
             assert!((1.5..2.5).contains(&width), "{width}");
@@ -342,18 +440,18 @@ mod tests {
     fn neighbouring_vehicles_differ_in_style_and_paint() {
         let mut rng = Pcg64::seed_from_u64(5);
         let vehicles: Vec<Vehicle> = (0..11)
-            .map(|n| Vehicle::draw(n, Wardrobe::ALL, [0.0, 0.0], 0.0, &mut rng))
+            .map(|n| Vehicle::draw(n, &Wardrobe::default(), [0.0, 0.0], 0.0, &mut rng))
             .collect();
         for pair in vehicles.windows(2) {
-            assert_ne!(pair[0].style(), pair[1].style());
-            assert_ne!(pair[0].paint, pair[1].paint);
+            assert_ne!(pair[0].body_name(), pair[1].body_name());
+            assert_ne!(pair[0].paint_name(), pair[1].paint_name());
         }
     }
 
     #[test]
     fn vehicle_axes_invert_the_placement() {
         let mut rng = Pcg64::seed_from_u64(1);
-        let vehicle = Vehicle::draw(2, Wardrobe::ALL, [10.0, 4.0], 2.1, &mut rng);
+        let vehicle = Vehicle::draw(2, &Wardrobe::default(), [10.0, 4.0], 2.1, &mut rng);
         let [x, y, _] = vehicle.center_world;
         let [fx, fy, _] = vehicle.forward_world;
         let ahead = Vec3A::new((x + 2.0 * fx) as f32, (y + 2.0 * fy) as f32, 0.5);

@@ -140,3 +140,30 @@ fn extra_outputs_and_vehicles_are_asked_for_by_name() {
         .error_says(&["vehicles = [8, 4]"]);
     assert!(!place.path("o").exists());
 }
+
+#[test]
+fn assets_that_cannot_be_used_are_named_before_anything_is_written() {
+    let place = Workplace::new();
+    place.write("tiny.toml", super::TINY_DATASET);
+    let generate = "generate --config tiny.toml --out d --assets";
+    place
+        .line(&format!("{generate} nowhere"))
+        .error_says(&["nowhere", "is no folder"]);
+    std::fs::create_dir(place.path("empty")).unwrap();
+    place
+        .line(&format!("{generate} empty"))
+        .error_says(&["no vehicles and no props"]);
+    place.write("broken/vehicles/car.glb", b"glTF and then nothing");
+    place
+        .line(&format!("{generate} broken"))
+        .error_says(&["car.glb", "export"]);
+    place.write("flat/vehicles/car.gltf", r#"{"asset": {"version": "2.0"}}"#);
+    place
+        .line(&format!("{generate} flat"))
+        .error_says(&["car.gltf", "has no scene"]);
+    assert!(!place.path("d").exists());
+    place.line("generate --config tiny.toml --out d").success();
+    place
+        .line("generate --add 2 --out d --assets broken")
+        .error_says(&["without assets"]);
+}

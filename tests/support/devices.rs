@@ -26,13 +26,3 @@ pub fn every() -> Vec<(&'static str, Device)> {
     }
     devices
 }
-
-/// Whether the graphics adapter is Mesa's software one, which ends a shader's loops after 65,535
-/// rounds in all. Burn's gradient of a convolution's weights takes more of them on a large image.
-pub fn ends_long_loops() -> bool {
-    let reports = twinsight::device::devices();
-    let adapter = reports.iter().find(|report| report.name == "wgpu");
-    adapter
-        .and_then(|report| report.found.first())
-        .is_some_and(|name| name.contains("llvmpipe"))
-}

@@ -4,10 +4,10 @@ use glam::Vec3A;
 
 use super::{Finish, LAMP, PLASTIC, PLATE, TAIL_LAMP, matt, shiny, within};
 use crate::world::noise::{self, mix, stripe, stripes};
-use crate::world::vehicle::Vehicle;
+use crate::world::vehicle::Bodywork;
 
 /// Reflectors behind clear glass in a dark housing, with an orange corner.
-pub(super) fn head_lamp(vehicle: &Vehicle, at: Vec3A, across: f32, low: f32) -> Finish {
+pub(super) fn head_lamp(vehicle: &Bodywork, at: Vec3A, across: f32, low: f32) -> Finish {
     if across > 0.90 {
         return shiny(Vec3A::new(0.45, 0.16, 0.02), 0.08);
     }
@@ -39,7 +39,7 @@ pub(super) fn tail_lamp(at: Vec3A, across: f32, footprint_m: f32) -> Finish {
 }
 
 /// Dark letters on a pale plate; both coordinates in metres from its middle and its lower edge.
-pub(super) fn number_plate(vehicle: &Vehicle, across: f32, up: f32, footprint_m: f32) -> Finish {
+pub(super) fn number_plate(vehicle: &Bodywork, across: f32, up: f32, footprint_m: f32) -> Finish {
     if across.abs() > 0.235 || !within(up, 0.022, 0.093) {
         return PLATE;
     }
@@ -67,7 +67,7 @@ pub(super) fn roof_sign(at: Vec3A, normal: Vec3A, footprint_m: f32) -> Finish {
 }
 
 /// The sides of a truck's box: panels, a rail at the foot and a coloured band.
-pub(super) fn cargo(vehicle: &Vehicle, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Finish {
+pub(super) fn cargo(vehicle: &Bodywork, at: Vec3A, normal: Vec3A, footprint_m: f32) -> Finish {
     let white = shiny(Vec3A::splat(0.60), 0.02);
     if normal.z.abs() > 0.5 {
         return white;
