@@ -1,4 +1,4 @@
-//! Image files, PNG and JPEG in, PNG out, and crops resampled from images.
+//! Image files, PNG and JPEG in and out, and crops resampled from images.
 //!
 //! Whatever is decoded becomes 8-bit RGB. Knows nothing of labels, datasets and tensors.
 
@@ -8,6 +8,7 @@ use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
+use image::codecs::jpeg::JpegEncoder;
 use image::{DynamicImage, ImageFormat, ImageReader, Limits, RgbImage};
 
 use crate::error::{Error, Result};
@@ -151,6 +152,21 @@ pub fn png_bytes(path: impl AsRef<Path>, image: &RgbImage) -> Result<Vec<u8>> {
                 "give an image with at least one pixel",
             )
         })?;
+    Ok(bytes)
+}
+
+/// Quality of JPEG files: good enough to look at, small enough to mail.
+const JPEG_QUALITY: u8 = 82;
+
+/// The image as the bytes of a JPEG file, for people to look at.
+///
+/// # Errors
+/// [`Error::Image`] naming `path`, the file that it is meant for, when the image has no pixels.
+pub fn jpeg_bytes(path: impl AsRef<Path>, image: &RgbImage) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
+        .encode_image(image)
+        .map_err(|error| Error::image(path, error.to_string(), "report this as a bug"))?;
     Ok(bytes)
 }
 

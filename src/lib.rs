@@ -25,7 +25,8 @@
 //!
 //! [`world`] and [`render`] build and draw scenes, [`generate`](mod@generate) turns them into a
 //! dataset, [`formats`] brings foreign datasets into that format and out of it, [`dataset`] reads it, [`train`] trains both networks on it, and
-//! [`evaluate`] says how good they are with [`metrics`].
+//! [`evaluate`](mod@evaluate) says how good they are with [`metrics`], and [`report`](mod@report)
+//! makes a page of it.
 //!
 //! # Invariants
 //!
@@ -74,11 +75,13 @@ pub mod inspect;
 pub mod kernels;
 pub mod metrics;
 pub mod nn;
+mod page;
 pub mod pairing;
 pub mod pipeline;
 pub mod progress;
 pub mod ranging;
 pub mod render;
+pub mod report;
 pub mod train;
 pub mod validate;
 pub mod weights;

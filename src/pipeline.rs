@@ -75,10 +75,26 @@ pub struct StageTimes {
 
 /// A vehicle before its distance is known.
 #[derive(Debug, Clone, Copy)]
-struct Pair {
-    left: Detection,
-    right: PixelBox,
-    score: f32,
+pub(crate) struct Pair {
+    /// Its detection in the left image.
+    pub left: Detection,
+    /// Its box in the right image, pixels.
+    pub right: PixelBox,
+    /// As [`Vehicle::score`].
+    pub score: f32,
+}
+
+impl Pair {
+    /// The vehicle, now that its distance is known.
+    pub fn at(&self, distance_m: f64, classes: &[String]) -> Vehicle {
+        Vehicle {
+            left: self.left.box_pixel,
+            right: self.right,
+            score: self.score,
+            class: classes.get(self.left.class).cloned().unwrap_or_default(),
+            distance_m,
+        }
+    }
 }
 
 /// Finds vehicles in a stereo pair and says how far they are.
@@ -238,13 +254,7 @@ impl StereoRanger {
         let mut vehicles: Vec<Vehicle> = pairs
             .into_iter()
             .zip(distances_m)
-            .map(|(pair, distance_m)| Vehicle {
-                left: pair.left.box_pixel,
-                right: pair.right,
-                score: pair.score,
-                class: classes.get(pair.left.class).cloned().unwrap_or_default(),
-                distance_m,
-            })
+            .map(|(pair, distance_m)| pair.at(distance_m, classes))
             .collect();
         vehicles.sort_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
         Ok((
@@ -259,7 +269,7 @@ impl StereoRanger {
 
     /// The right box of each left detection that has one, given what the detector found in the
     /// images that it ran on.
-    fn pairs(
+    pub(crate) fn pairs(
         &self,
         images: [&RgbImage; 2],
         found: Vec<Vec<Detection>>,
@@ -292,7 +302,7 @@ impl StereoRanger {
     }
 
     /// The trained rig at another resolution of the same field of view.
-    fn rig_for(&self, (width, height): (u32, u32)) -> Result<StereoRig> {
+    pub(crate) fn rig_for(&self, (width, height): (u32, u32)) -> Result<StereoRig> {
         let rig = *self.rig();
         if (rig.left.width, rig.left.height) == (width, height) {
             return Ok(rig);

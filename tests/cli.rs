@@ -9,6 +9,8 @@ mod formats;
 mod generate;
 #[path = "cli/pairing.rs"]
 mod pairing;
+#[path = "cli/report.rs"]
+mod report;
 #[path = "cli/training.rs"]
 mod training;
 
@@ -19,9 +21,9 @@ use std::time::{Duration, Instant};
 
 use binary::{Outcome, Workplace};
 
-const COMMANDS: [&str; 10] = [
+const COMMANDS: [&str; 11] = [
     "generate", "import", "export", "validate", "inspect", "prepare", "train", "evaluate",
-    "predict", "devices",
+    "report", "predict", "devices",
 ];
 
 /// A dataset that is made in a moment.

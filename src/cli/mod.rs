@@ -13,6 +13,7 @@ mod inspect;
 mod predict;
 mod prepare;
 mod presets;
+mod report;
 pub mod stderr;
 pub mod stdout;
 mod terminal;
@@ -47,6 +48,7 @@ Examples:
 
     twinsight train
     twinsight evaluate --run checkpoints/quick --data datasets/quick
+    twinsight report checkpoints/quick
     twinsight predict --run checkpoints/quick left.png right.png
 
   `twinsight help COMMAND` is the manual of a command.";
@@ -61,6 +63,7 @@ enum Command {
     Prepare(prepare::PrepareArgs),
     Train(Box<train::TrainArgs>),
     Evaluate(evaluate::EvaluateArgs),
+    Report(report::ReportArgs),
     Predict(predict::PredictArgs),
     Devices(devices::DevicesArgs),
 }
@@ -77,6 +80,7 @@ impl Cli {
             Command::Prepare(args) => args.run(self.quiet),
             Command::Train(args) => args.run(self.quiet),
             Command::Evaluate(args) => args.run(self.quiet),
+            Command::Report(args) => args.run(self.quiet),
             Command::Predict(args) => args.run(),
             Command::Devices(_) => devices::DevicesArgs::run(),
         };

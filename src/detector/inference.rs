@@ -63,6 +63,23 @@ pub struct LetterboxedCandidates {
     pub letterbox: Letterbox,
 }
 
+impl LetterboxedCandidates {
+    /// The same in pixels of the image; what lies outside of it is left out.
+    pub fn detections(&self) -> Vec<Detection> {
+        self.candidates
+            .iter()
+            .map(|candidate| Detection {
+                box_pixel: self
+                    .letterbox
+                    .pixel_from_letterbox(&candidate.box_letterbox),
+                score: candidate.score,
+                class: candidate.class,
+            })
+            .filter(|detection| detection.box_pixel.is_valid())
+            .collect()
+    }
+}
+
 impl VehicleDetector {
     /// Wraps a network, its normalisation merged, for inference on its device.
     pub fn new(network: &Yolo11, header: DetectorHeader, device: &Device) -> Self {
@@ -122,23 +139,8 @@ impl VehicleDetector {
     pub fn detect(&self, images: &[&RgbImage], nms: &NmsConfig) -> Result<Vec<Vec<Detection>>> {
         let found = self.detect_letterboxed(images, nms)?;
         Ok(found
-            .into_iter()
-            .map(
-                |LetterboxedCandidates {
-                     candidates,
-                     letterbox,
-                 }| {
-                    candidates
-                        .into_iter()
-                        .map(|candidate| Detection {
-                            box_pixel: letterbox.pixel_from_letterbox(&candidate.box_letterbox),
-                            score: candidate.score,
-                            class: candidate.class,
-                        })
-                        .filter(|detection| detection.box_pixel.is_valid())
-                        .collect()
-                },
-            )
+            .iter()
+            .map(LetterboxedCandidates::detections)
             .collect())
     }
 

@@ -38,37 +38,41 @@ pub fn detection_metrics(
             .collect::<Result<Vec<DetectionItem>>>()?;
         let images: Vec<_> = items.iter().map(|item| &*item.image).collect();
         let found = detector.detect_letterboxed(&images, &NmsConfig::validation())?;
-        for (
-            item,
-            LetterboxedCandidates {
-                candidates,
-                letterbox,
-            },
-        ) in items.iter().zip(found)
-        {
-            let detections: Vec<Detection> = candidates
-                .iter()
-                .map(|candidate| Detection {
-                    box_pixel: candidate.box_letterbox,
-                    score: candidate.score,
-                    class: candidate.class,
-                })
-                .collect();
-            let targets: Vec<Target> = item
-                .boxes
-                .iter()
-                .map(|(class, box_pixel)| Target {
-                    box_pixel: letterbox.letterbox_from_pixel(box_pixel),
-                    class: *class as usize,
-                })
-                .collect();
-            let ignored: Vec<PixelBox> = item
-                .ignored
-                .iter()
-                .map(|box_pixel| letterbox.letterbox_from_pixel(box_pixel))
-                .collect();
-            metrics.add_image_ignoring(&detections, &targets, &ignored)?;
+        for (item, candidates) in items.iter().zip(&found) {
+            add_image(&mut metrics, candidates, &item.boxes, &item.ignored)?;
         }
     }
     Ok(metrics)
+}
+
+/// Adds an image's candidates and labels, in the coordinates of the network's input.
+pub(super) fn add_image(
+    metrics: &mut DetectionMetrics,
+    LetterboxedCandidates {
+        candidates,
+        letterbox,
+    }: &LetterboxedCandidates,
+    boxes: &[(u32, PixelBox)],
+    ignored: &[PixelBox],
+) -> Result<()> {
+    let detections: Vec<Detection> = candidates
+        .iter()
+        .map(|candidate| Detection {
+            box_pixel: candidate.box_letterbox,
+            score: candidate.score,
+            class: candidate.class,
+        })
+        .collect();
+    let targets: Vec<Target> = boxes
+        .iter()
+        .map(|(class, box_pixel)| Target {
+            box_pixel: letterbox.letterbox_from_pixel(box_pixel),
+            class: *class as usize,
+        })
+        .collect();
+    let ignored: Vec<PixelBox> = ignored
+        .iter()
+        .map(|box_pixel| letterbox.letterbox_from_pixel(box_pixel))
+        .collect();
+    metrics.add_image_ignoring(&detections, &targets, &ignored)
 }

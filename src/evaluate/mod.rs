@@ -1,10 +1,39 @@
-//! How good a run is: detection, distances from true boxes, and the whole pipeline.
+//! How good a run is: detection, distances from true boxes, and the whole pipeline, beside arithmetic
+//! that a network must beat; with bounds for what is chance.
+//!
+//! [`evaluate()`] judges a run on a split and writes every table, as CSV and as JSON, into the run's
+//! folder; [`read`] reads them back. Nothing is hidden: vehicles that the pipeline missed or made up
+//! and methods without an answer are counted in every table.
 
+mod baselines;
 mod detection;
+mod detections;
+mod distances;
+mod examples;
+mod groups;
+mod judge;
+mod latency;
 mod pipeline;
+mod protocol;
+mod show;
+mod tables;
+mod vehicles;
 
+pub use baselines::Baselines;
 pub use detection::detection_metrics;
+pub use detections::{ClassRow, CocoRow, ConfusionRow, CurveRow};
+pub use distances::{DifferenceRow, DistanceRow, RunDifference, paired_difference};
+pub use examples::{ExampleKind, ExampleRow};
+pub use groups::Grouping;
+pub use latency::LatencyRow;
 pub use pipeline::{
-    DetectionFigures, EvaluateRequest, Evaluation, PipelineFigures, evaluate, evaluate_dataset,
-    match_vehicles,
+    Bootstrap, DetectionFigures, EvaluateRequest, Evaluation, PipelineFigures, evaluate,
+    evaluate_dataset, match_vehicles,
 };
+pub use protocol::{MethodRow, MissingCell, Protocol, ProtocolRow};
+pub use show::{LABEL_NOTE, protocol_text};
+pub use tables::{Tables, evaluations, read};
+pub use vehicles::{Boxes, Estimates, FalseVehicle, Method, VehicleRow};
+
+use pipeline::training_dataset;
+pub(crate) use show::{number, percent, protocol_cells};

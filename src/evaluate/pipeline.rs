@@ -1,24 +1,33 @@
 //! Evaluation of a run on a split of a dataset.
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 
-use burn_dataset::Dataset as _;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::detection_metrics;
-use crate::dataset::{DetectionSource, Frame, Side, Split, StereoDataset, StereoLabel};
+use super::baselines::{Baselines, fit_for_run};
+use super::distances::{self, Drawing};
+use super::judge::{Judge, Judged};
+use super::tables::{self, Tables};
+use super::vehicles::{Boxes, Method};
+use super::{detections, examples, latency, protocol};
+use crate::dataset::{BoxKind, Split, StereoDataset, StereoLabel};
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
-use crate::metrics::{DistanceErrors, DistanceSummary, is_covered};
+use crate::files;
+use crate::metrics::{DetectionSummary, DistanceErrors, DistanceSummary, Interval};
 use crate::pairing::PairingMode;
 use crate::pipeline::{PredictOptions, StereoRanger, Vehicle};
 use crate::progress::Progress;
-use crate::ranging::Sighting;
-use crate::train::saved_config;
+use crate::train::{TrainConfig, saved_config};
 
 /// Least intersection over union of a found and a labelled box of the same vehicle.
 const MATCH_IOU: f64 = 0.5;
+
+/// Draws of the bootstrap: bounds then move by a few percent of their width with another seed.
+pub(super) const DRAWS: usize = 1000;
+
+/// Draws for average precision, each of which walks through every detection.
+const DETECTION_DRAWS: usize = 200;
 
 /// What to evaluate, and on what.
 #[derive(Debug, Clone, Copy)]
@@ -33,33 +42,66 @@ pub struct EvaluateRequest<'a> {
     pub device: DeviceName,
     /// What the pipeline counts as a detection, and how it pairs.
     pub options: PredictOptions,
+    /// Folder for the tables; `evaluation/<dataset>-<split>` in the run's folder where it is not
+    /// given.
+    pub out: Option<&'a Path>,
 }
 
 /// How good a run is on a split.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
+    /// Version of the program.
+    pub version: String,
     /// Run folder.
     pub run: PathBuf,
     /// Dataset folder.
     pub data: PathBuf,
     /// Split.
     pub split: Split,
+    /// Folder that the tables were written to.
+    pub folder: PathBuf,
     /// Stereo frames evaluated.
     pub frames: usize,
+    /// Frames that could not be read.
+    pub left_out: usize,
+    /// Kind of box that the run learnt and is judged by.
+    pub box_kind: BoxKind,
     /// How the pipeline found boxes in the right image.
     pub pairing_mode: PairingMode,
     /// Detections of the pipeline scored above this.
     pub confidence: f32,
+    /// How bounds were found.
+    pub bootstrap: Bootstrap,
     /// The detector on all images of the split.
     pub detection: DetectionFigures,
     /// The distance network on labelled boxes.
     pub true_boxes: Option<DistanceSummary>,
     /// Detector, pairing and distance network together.
     pub pipeline: PipelineFigures,
+    /// Constants of the baselines; none where there is nothing to fit them on.
+    pub baselines: Option<Baselines>,
+    /// How much of the paper's test the split holds; none where it holds nothing of its kind.
+    pub protocol: Option<protocol::Protocol>,
+    /// Every table; files of their own beside this one.
+    #[serde(skip)]
+    pub tables: Tables,
+}
+
+/// How the bounds of figures were found: 95 % of the draws, with replacement, lie between them.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Bootstrap {
+    /// What is drawn: "scene" or "frame", with everything in it.
+    pub unit: String,
+    /// How many there are.
+    pub units: usize,
+    /// Draws for distances.
+    pub draws: usize,
+    /// Draws for average precision.
+    pub detection_draws: usize,
 }
 
 /// The detector's figures.
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DetectionFigures {
     /// Images, left and right.
     pub images: usize,
@@ -69,14 +111,22 @@ pub struct DetectionFigures {
     pub precision: f64,
     /// At the confidence of the best F1.
     pub recall: f64,
+    /// The best F1.
+    pub f1: f64,
+    /// Its confidence.
+    pub best_confidence: Option<f64>,
     /// Mean average precision at IoU 0.50.
     pub map50: f64,
+    /// Bounds of it.
+    pub map50_interval: Option<Interval>,
     /// Mean average precision over IoU 0.50 to 0.95.
     pub map50_95: f64,
+    /// Bounds of it.
+    pub map50_95_interval: Option<Interval>,
 }
 
 /// The pipeline's figures.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PipelineFigures {
     /// Vehicles labelled in both images and ignored in neither.
     pub vehicles: usize,
@@ -86,14 +136,20 @@ pub struct PipelineFigures {
     pub missed: usize,
     /// Found where none is labelled, not even an ignored one or one that a single camera sees.
     pub false_vehicles: usize,
+    /// Bounds of the share that is found.
+    pub found_interval: Option<Interval>,
+    /// Bounds of the share of what the pipeline sees that is there.
+    pub precision_interval: Option<Interval>,
     /// Distance errors of the found ones.
     pub distance: Option<DistanceSummary>,
 }
 
-/// Evaluates a run. Frames are divided as the run divided them for its training.
+/// Evaluates a run, and writes the tables. Frames are divided as the run divided them for its
+/// training.
 ///
 /// # Errors
-/// A run or dataset that cannot be used, an empty split, or a device that fails.
+/// A run or dataset that cannot be used, an empty split, a folder that cannot be written, or a
+/// device that fails.
 pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Evaluation> {
     let device = request.device.open()?;
     let ranger = StereoRanger::load(request.run, &device)?.with_options(request.options);
@@ -103,19 +159,40 @@ pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Ev
     {
         dataset.resplit(split, config.seed)?;
     }
-    dataset.check_images(progress)?;
-    evaluate_dataset(&ranger, request.run, &dataset, request.split, progress)
+    for problem in &dataset.problems {
+        progress.note(&format!("left out: {problem}"));
+    }
+    evaluate_into(
+        &ranger,
+        request.run,
+        &dataset,
+        request.split,
+        request.out,
+        progress,
+    )
 }
 
-/// Evaluates a loaded run on a dataset whose images are checked and whose frames are divided.
+/// Evaluates a loaded run on a dataset whose frames are divided, and writes the tables into the
+/// run's folder.
 ///
 /// # Errors
-/// A dataset with other classes, an empty split, or a device that fails.
+/// As [`evaluate`], and a dataset with other classes.
 pub fn evaluate_dataset(
     ranger: &StereoRanger,
     run: &Path,
     dataset: &StereoDataset,
     split: Split,
+    progress: &dyn Progress,
+) -> Result<Evaluation> {
+    evaluate_into(ranger, run, dataset, split, None, progress)
+}
+
+fn evaluate_into(
+    ranger: &StereoRanger,
+    run: &Path,
+    dataset: &StereoDataset,
+    split: Split,
+    out: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Evaluation> {
     check_classes(ranger, dataset)?;
@@ -134,52 +211,96 @@ pub fn evaluate_dataset(
             "give another --split or --data",
         ));
     }
-    progress.begin("evaluation", frames.len() as u64 + 1);
-    progress.status("detector");
-    let source = DetectionSource::new(dataset, split, kind, 0);
-    let detection = detection_metrics(ranger.detector(), &source)?.compute();
-    progress.advance(1);
-    progress.status("pipeline");
-    let mut true_boxes = DistanceErrors::new();
-    let mut tally = Tally::default();
+    let folder = out.map_or_else(
+        || tables::default_folder(run, &dataset.folder, split),
+        Path::to_path_buf,
+    );
+    // Before the work, which a folder that cannot be written would make useless.
+    files::create_folder(&folder)?;
     if !dataset.info.stereo {
         progress.note("the dataset has single images: only the detector is judged");
     }
-    for frame in frames.iter().filter(|_| dataset.info.stereo) {
-        if progress.interrupted() {
-            progress.end();
-            return Err(Error::Interrupted {
-                resume: "run the command again".to_owned(),
-            });
-        }
-        evaluate_frame(ranger, dataset, frame, &mut true_boxes, &mut tally)?;
-        progress.advance(1);
-    }
-    progress.end();
-    Ok(Evaluation {
+    let baselines = if dataset.info.stereo {
+        fit_for_run(run, dataset, kind, progress)?
+    } else {
+        None
+    };
+    let judged = Judge::new(ranger, dataset, baselines.as_ref()).run(&frames, progress)?;
+    let classes = dataset.classes();
+    let drawing = Drawing::new(&judged.frames, DRAWS);
+    let summary = judged.detection.compute();
+    let coco = judged
+        .detection_pixel
+        .coco_summary(detections::COCO_DETECTIONS);
+    let protocol = Some(protocol::protocol(
+        &frames,
+        &judged.vehicles,
+        &judged.false_vehicles,
+    ))
+    .filter(|protocol| protocol.cells + protocol.other_frames > 0);
+    let detection = detection_figures(&judged, &summary, &drawing);
+    let pipeline = pipeline_figures(&judged, &drawing);
+    let true_boxes = errors(&judged, Boxes::True);
+    let latency = if dataset.info.stereo {
+        latency::measure(ranger, dataset, &frames)?
+    } else {
+        Vec::new()
+    };
+    let evaluation = Evaluation {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
         run: run.to_path_buf(),
         data: dataset.folder.clone(),
         split,
-        frames: frames.len(),
+        frames: judged.frames.len(),
+        left_out: judged.problems.len(),
+        box_kind: kind,
         pairing_mode: ranger.options().pairing_mode,
         confidence: ranger.options().confidence,
-        detection: DetectionFigures {
-            images: source.len(),
-            targets: detection.targets,
-            precision: detection.precision,
-            recall: detection.recall,
-            map50: detection.map50,
-            map50_95: detection.map50_95,
+        bootstrap: Bootstrap {
+            unit: drawing.unit.to_owned(),
+            units: drawing.resamples.groups(),
+            draws: DRAWS,
+            detection_draws: DETECTION_DRAWS,
         },
-        true_boxes: true_boxes.summary(),
-        pipeline: PipelineFigures {
-            vehicles: tally.vehicles,
-            found: tally.found,
-            missed: tally.vehicles - tally.found,
-            false_vehicles: tally.false_vehicles,
-            distance: tally.errors.summary(),
+        detection,
+        true_boxes,
+        pipeline,
+        baselines,
+        protocol: protocol.clone(),
+        tables: Tables {
+            distance: distances::rows(&judged.vehicles, &judged.false_vehicles, &drawing),
+            differences: distances::differences(&judged.vehicles, &drawing),
+            detection: detections::class_rows(&summary, classes),
+            detection_curves: detections::curve_rows(&summary, classes),
+            coco: detections::coco_rows(&coco),
+            confusion: detections::confusion_rows(&judged.confusion, classes),
+            latency,
+            protocol,
+            examples: examples::draw(
+                &folder,
+                dataset,
+                kind,
+                &judged.vehicles,
+                &judged.false_vehicles,
+            )?,
+            vehicles: judged.vehicles,
+            false_vehicles: judged.false_vehicles,
         },
-    })
+        folder,
+    };
+    tables::write(&evaluation.folder, &evaluation)?;
+    Ok(evaluation)
+}
+
+/// The dataset that a run was trained on, and its settings; None where the run does not say.
+pub(super) fn training_dataset(run: &Path) -> Option<(PathBuf, TrainConfig)> {
+    #[derive(Deserialize)]
+    struct Saved {
+        data: PathBuf,
+    }
+    let text = files::read_text(run.join("config.json")).ok()?;
+    let saved: Saved = serde_json::from_str(&text).ok()?;
+    Some((saved.data, saved_config(run).ok()??))
 }
 
 fn check_classes(ranger: &StereoRanger, dataset: &StereoDataset) -> Result<()> {
@@ -197,59 +318,68 @@ fn check_classes(ranger: &StereoRanger, dataset: &StereoDataset) -> Result<()> {
     ))
 }
 
-#[derive(Default)]
-struct Tally {
-    vehicles: usize,
-    found: usize,
-    false_vehicles: usize,
-    errors: DistanceErrors,
+fn detection_figures(
+    judged: &Judged,
+    summary: &DetectionSummary,
+    drawing: &Drawing,
+) -> DetectionFigures {
+    let stamps = judged.image_stamps.iter();
+    let groups: Vec<usize> = stamps.map(|&stamp| drawing.group(stamp)).collect();
+    let draws = drawing.resamples.first(DETECTION_DRAWS);
+    let intervals = judged.detection.map_intervals(&draws, &groups);
+    DetectionFigures {
+        images: summary.images,
+        targets: summary.targets,
+        precision: summary.precision,
+        recall: summary.recall,
+        f1: summary.f1,
+        best_confidence: summary.best_confidence,
+        map50: summary.map50,
+        map50_interval: intervals.map(|[map50, _]| map50),
+        map50_95: summary.map50_95,
+        map50_95_interval: intervals.map(|[_, map50_95]| map50_95),
+    }
 }
 
-fn evaluate_frame(
-    ranger: &StereoRanger,
-    dataset: &StereoDataset,
-    frame: &Frame,
-    true_boxes: &mut DistanceErrors,
-    tally: &mut Tally,
-) -> Result<()> {
-    let [left, right] = frame.load(dataset.rig())?;
-    let kind = ranger.detector().header().box_kind;
-    let labels = frame.vehicles(kind);
-    let sightings: Vec<Sighting> = labels
+fn pipeline_figures(judged: &Judged, drawing: &Drawing) -> PipelineFigures {
+    let found = judged
+        .vehicles
         .iter()
-        .map(|label| Sighting {
-            images: [&left, &right],
-            boxes: [label.left.box_pixel, label.right.box_pixel],
-        })
-        .collect();
-    for (estimated_m, label) in ranger
-        .estimator()
-        .estimate(&sightings, dataset.rig())?
-        .into_iter()
-        .zip(&labels)
-    {
-        true_boxes.add(estimated_m, label.distance_m);
-    }
-    let vehicles = ranger.estimate(&left, &right)?;
-    let matches = match_vehicles(&vehicles, &labels);
-    tally.vehicles += labels.len();
-    tally.found += matches.len();
-    let unjudged = Side::ALL.map(|side| frame.unjudged_boxes(kind, side));
-    tally.false_vehicles += vehicles
-        .iter()
-        .enumerate()
-        .filter(|(index, vehicle)| {
-            let matched = matches.iter().any(|(found, _)| found == index);
-            let [left, right] = &unjudged;
-            !matched && !is_covered(&vehicle.left, left) && !is_covered(&vehicle.right, right)
-        })
+        .filter(|vehicle| vehicle.found)
         .count();
-    for (vehicle, label) in matches {
-        tally
-            .errors
-            .add(vehicles[vehicle].distance_m, labels[label].distance_m);
+    let labelled = judged
+        .vehicles
+        .iter()
+        .map(|v| (v.frame, [1.0, f64::from(u8::from(v.found)), 0.0]));
+    let made_up = judged
+        .false_vehicles
+        .iter()
+        .map(|v| (v.frame, [0.0, 0.0, 1.0]));
+    let sums = drawing.sums(labelled.chain(made_up));
+    let share = |part: f64, whole: f64| (whole > 0.0).then(|| [part / whole]);
+    let found_interval = drawing.intervals(&sums, |[vehicles, found, _]| share(found, vehicles));
+    let precision_interval =
+        drawing.intervals(&sums, |[_, found, made_up]| share(found, found + made_up));
+    PipelineFigures {
+        vehicles: judged.vehicles.len(),
+        found,
+        missed: judged.vehicles.len() - found,
+        false_vehicles: judged.false_vehicles.len(),
+        found_interval: found_interval.map(|[interval]| interval),
+        precision_interval: precision_interval.map(|[interval]| interval),
+        distance: errors(judged, Boxes::Pipeline),
     }
-    Ok(())
+}
+
+/// The network's errors.
+fn errors(judged: &Judged, boxes: Boxes) -> Option<DistanceSummary> {
+    let mut errors = DistanceErrors::new();
+    for vehicle in &judged.vehicles {
+        if let Some(estimate) = vehicle.estimate(boxes, Method::Network) {
+            errors.add(estimate, vehicle.distance_m);
+        }
+    }
+    errors.summary()
 }
 
 /// Pairs of found and labelled vehicles, best score first: a vehicle is found when its boxes
@@ -271,69 +401,4 @@ pub fn match_vehicles(vehicles: &[Vehicle], labels: &[StereoLabel]) -> Vec<(usiz
         }
     }
     matches
-}
-
-impl fmt::Display for Evaluation {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let DetectionFigures {
-            images,
-            targets,
-            precision,
-            recall,
-            map50,
-            map50_95,
-        } = self.detection;
-        writeln!(
-            f,
-            "split {}: {} frames, pairing {}, confidence {}",
-            self.split, self.frames, self.pairing_mode, self.confidence
-        )?;
-        writeln!(f)?;
-        writeln!(
-            f,
-            "detector        images  boxes  precision  recall  mAP50  mAP50-95"
-        )?;
-        writeln!(
-            f,
-            "                {images:>6}  {targets:>5}  {precision:>9.3}  {recall:>6.3}  {map50:>5.3}  {map50_95:>8.3}"
-        )?;
-        writeln!(f)?;
-        writeln!(f, "distance        vehicles  MAE m  RMSE m  MRE %")?;
-        distance_row(f, "true boxes", self.true_boxes.as_ref())?;
-        distance_row(f, "pipeline", self.pipeline.distance.as_ref())?;
-        writeln!(f)?;
-        let PipelineFigures {
-            vehicles,
-            found,
-            missed,
-            false_vehicles,
-            ..
-        } = self.pipeline;
-        write!(
-            f,
-            "pipeline found {found} of {vehicles} vehicles, missed {missed}, and saw {false_vehicles} where none is"
-        )
-    }
-}
-
-fn distance_row(
-    f: &mut fmt::Formatter<'_>,
-    name: &str,
-    summary: Option<&DistanceSummary>,
-) -> fmt::Result {
-    match summary {
-        Some(DistanceSummary {
-            count,
-            mae_m,
-            rmse_m,
-            mre_percent,
-            ..
-        }) => {
-            writeln!(
-                f,
-                "{name:<14}  {count:>8}  {mae_m:>5.2}  {rmse_m:>6.2}  {mre_percent:>5.1}"
-            )
-        }
-        None => writeln!(f, "{name:<14}  {:>8}      -       -      -", 0),
-    }
 }

@@ -148,6 +148,25 @@ impl StereoRig {
         self.focal_px() * self.baseline_m / disparity_px
     }
 
+    /// Disparity of two pixels, each counted from its camera's principal point, pixels of the left
+    /// camera.
+    pub fn disparity_of_pixels(&self, left_x: f64, right_x: f64) -> f64 {
+        let scale = self.left.focal_x_px / self.right.focal_x_px;
+        left_x - self.left.center_x_px - (right_x - self.right.center_x_px) * scale
+    }
+
+    /// How far the point is, from the midpoint between the cameras, that a pixel of the left image
+    /// shows with this disparity; metres. None for a disparity that no point in front of the rig has.
+    pub fn triangulated_m(&self, left_pixel: [f64; 2], disparity_px: f64) -> Option<f64> {
+        let z = self.depth_m(disparity_px);
+        if !(z.is_finite() && z > 0.0) {
+            return None;
+        }
+        let [x, y, _] = self.left.camera_from_pixel(left_pixel).map(|v| v * z);
+        let x = x - self.baseline_m / 2.0;
+        Some((x * x + y * y + z * z).sqrt())
+    }
+
     /// Whether a vehicle's visible boxes lie as far apart as its depth says.
     ///
     /// Loosely: the vehicle's near side has more disparity than its centre, and hidden parts move
@@ -297,6 +316,20 @@ mod tests {
         let rig = paper_rig();
         assert!((rig.disparity_px(10.0) - 81.92).abs() < 1e-9);
         assert!((rig.disparity_px(200.0) - 4.096).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_two_pixels_of_a_point_triangulate_to_its_distance_from_the_midpoint() {
+        let rig = paper_rig();
+        for point in [[0.0, 0.0, 10.0], [3.0, -2.0, 42.0], [-60.0, 11.0, 200.0]] {
+            let [left, right] = rig.pixels_from_rig(point).unwrap();
+            let disparity_px = rig.disparity_of_pixels(left[0], right[0]);
+            let distance_m = point.iter().map(|v| v * v).sum::<f64>().sqrt();
+            assert!((rig.triangulated_m(left, disparity_px).unwrap() - distance_m).abs() < 1e-6);
+        }
+        for disparity_px in [0.0, -1.0, f64::NAN] {
+            assert_eq!(rig.triangulated_m([1000.0, 500.0], disparity_px), None);
+        }
     }
 
     #[test]

@@ -1,13 +1,9 @@
-//! Histograms as SVG pictures.
-
-use plotters::prelude::*;
+//! Histograms of a dataset.
 
 use super::summary::{SplitSummary, Summary};
 use crate::dataset::Split;
-use crate::error::{Error, Result};
-
-/// Size of a chart, SVG units; the page scales it.
-const SIZE: (u32, u32) = (480, 240);
+use crate::error::Result;
+use crate::page::charts::{self, Axis, Figure, Rgb, Shape};
 
 /// Bars of a histogram, about.
 const BINS: f64 = 16.0;
@@ -18,13 +14,13 @@ pub(super) struct Chart {
     pub svg: String,
 }
 
-/// Colours of the splits: told apart with any colour vision (Okabe and Ito's).
-pub(super) const fn color(split: Split) -> (u8, u8, u8) {
-    match split {
-        Split::Train => (0, 114, 178),
-        Split::Val => (230, 159, 0),
-        Split::Test => (0, 158, 115),
-    }
+/// Colours of the splits.
+pub(super) const fn color(split: Split) -> Rgb {
+    charts::color(match split {
+        Split::Train => 0,
+        Split::Val => 1,
+        Split::Test => 2,
+    })
 }
 
 /// Every histogram for which there are values.
@@ -47,23 +43,11 @@ pub(super) fn all(summary: &Summary) -> Result<Vec<Chart>> {
             .map(|s| (s.split, values(s)))
             .collect();
         if sets.iter().any(|(_, values)| !values.is_empty()) {
-            let svg = histogram(&sets, unit).map_err(|error| {
-                Error::value(format!("chart '{title}'"), error, "report this as a bug")
-            })?;
+            let svg = histogram(&sets, unit)?;
             charts.push(Chart { title, svg });
         }
     }
     Ok(charts)
-}
-
-/// Width of a bin: 1, 2 or 5 times a power of ten.
-fn step(range: f64) -> f64 {
-    let rough = (range / BINS).max(1e-3);
-    let power = libm::pow(10.0, libm::floor(libm::log10(rough)));
-    let factor = [1.0, 2.0, 5.0]
-        .into_iter()
-        .find(|factor| factor * power >= rough * 0.999);
-    factor.unwrap_or(10.0) * power
 }
 
 /// Counts per bin, from the bin that starts at `low`.
@@ -76,74 +60,38 @@ fn counts(values: &[f64], low: f64, step: f64, bins: usize) -> Vec<usize> {
     counts
 }
 
-fn histogram(sets: &[(Split, &[f64])], unit: &str) -> Result<String, String> {
+fn histogram(sets: &[(Split, &[f64])], unit: &str) -> Result<String> {
     let values = || sets.iter().flat_map(|(_, values)| values.iter().copied());
     let least = values().fold(f64::INFINITY, f64::min);
     let most = values().fold(f64::NEG_INFINITY, f64::max);
-    let step = step(most - least);
+    let step = charts::round_step((most - least) / BINS);
     let low = (least / step).floor() * step;
     let bins = (((most - low) / step).floor() as usize + 1).max(1);
-    let high = low + step * bins as f64;
     let counted: Vec<(Split, Vec<usize>)> = sets
         .iter()
         .map(|(split, values)| (*split, counts(values, low, step, bins)))
         .collect();
     let highest = counted.iter().flat_map(|(_, counts)| counts).max().copied();
-    let top = highest.unwrap_or(1).max(1) as f64 * 1.05;
-    let mut svg = String::new();
-    draw(&mut svg, &counted, unit, [low, high, step, top]).map_err(|error| error.to_string())?;
-    Ok(svg)
-}
-
-fn draw(
-    svg: &mut String,
-    counted: &[(Split, Vec<usize>)],
-    unit: &str,
-    [low, high, step, top]: [f64; 4],
-) -> Result<(), Box<dyn std::error::Error>> {
-    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
-    let ink = RGBColor(60, 60, 60);
-    let style = ("sans-serif", 13).into_font().color(&ink);
-    let mut chart = ChartBuilder::on(&root)
-        .margin(6)
-        .margin_right(14)
-        .x_label_area_size(36)
-        .y_label_area_size(44)
-        .build_cartesian_2d(low..high, 0.0..top)?;
-    chart
-        .configure_mesh()
-        .disable_x_mesh()
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(RGBColor(225, 225, 225))
-        .axis_style(ink)
-        .x_labels(8)
-        .y_labels(5)
-        .x_desc(unit)
-        .label_style(style.clone())
-        .axis_desc_style(style)
-        .x_label_formatter(&|value| format!("{}", (value * 1e3).round() / 1e3))
-        // Counts are whole; a short axis has steps between them.
-        .y_label_formatter(&|value| {
-            if value.fract() == 0.0 {
-                format!("{value:.0}")
-            } else {
-                String::new()
-            }
-        })
-        .draw()?;
     // The bars of a bin stand beside each other in the middle nine tenths.
     let width = 0.9 * step / counted.len() as f64;
-    for (place, (split, counts)) in counted.iter().enumerate() {
-        let (red, green, blue) = color(*split);
-        let fill = RGBColor(red, green, blue).filled();
+    let shapes = counted.iter().enumerate().map(|(place, (split, counts))| {
         let bars = counts.iter().enumerate().filter(|(_, count)| **count > 0);
-        chart.draw_series(bars.map(|(bin, count)| {
+        let bars = bars.map(|(bin, count)| {
             let left = low + step * (bin as f64 + 0.05) + width * place as f64;
-            Rectangle::new([(left, 0.0), (left + width, *count as f64)], fill)
-        }))?;
+            [left, 0.0, left + width, *count as f64]
+        });
+        (color(*split), Shape::Bars(bars.collect()))
+    });
+    Figure {
+        x: Axis::new(unit, [low, low + step * bins as f64]),
+        y: Axis {
+            whole: true,
+            ..Axis::new("", [0.0, highest.unwrap_or(1).max(1) as f64 * 1.05])
+        },
+        shapes: shapes.collect(),
+        square: false,
     }
-    root.present()?;
-    Ok(())
+    .svg()
 }
 
 #[cfg(test)]
@@ -151,20 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bins_are_round_numbers_and_hold_every_value() {
-        for (range, expected) in [
-            (50.0, 5.0),
-            (16.0, 1.0),
-            (1.0, 0.1),
-            (360.0, 50.0),
-            (0.0, 0.001),
-        ] {
-            assert!(
-                (step(range) - expected).abs() < 1e-9,
-                "{range}: {}",
-                step(range)
-            );
-        }
+    fn bins_hold_every_value() {
         let values: Vec<f64> = (0..100).map(|i| f64::from(i) * 0.37).collect();
         assert_eq!(counts(&values, 0.0, 5.0, 8).iter().sum::<usize>(), 100);
     }

@@ -1,24 +1,17 @@
 //! The page: one HTML file with everything in it.
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
-use image::RgbImage;
-use image::codecs::jpeg::JpegEncoder;
-use minijinja::Environment;
-use minijinja::value::Serde;
 use serde::Serialize;
 
 use super::charts;
 use super::samples::{Row, Sample, Samples};
 use super::summary::Summary;
 use crate::dataset::{BoxKind, StereoDataset};
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::imaging::jpeg_bytes;
+use crate::page::{self, charts::hex};
 
 /// The page without its content.
 const TEMPLATE: &str = include_str!("page.html");
-
-/// Quality of the pictures in the page: good enough to judge a dataset, small enough to mail.
-const JPEG_QUALITY: u8 = 82;
 
 /// What the template fills in.
 #[derive(Serialize)]
@@ -66,20 +59,17 @@ pub(super) fn render(
     summary: &Summary,
     samples: &Samples,
 ) -> Result<String> {
-    let splits = summary.splits.iter().map(|split| {
-        let (red, green, blue) = charts::color(split.split);
-        SplitRow {
-            name: split.split.to_string(),
-            color: format!("#{red:02x}{green:02x}{blue:02x}"),
-            numbers: [
-                split.frames,
-                split.images,
-                split.scenes,
-                split.vehicles,
-                split.pairs,
-                split.ignored,
-            ],
-        }
+    let splits = summary.splits.iter().map(|split| SplitRow {
+        name: split.split.to_string(),
+        color: hex(charts::color(split.split)),
+        numbers: [
+            split.frames,
+            split.images,
+            split.scenes,
+            split.vehicles,
+            split.pairs,
+            split.ignored,
+        ],
     });
     let charts = charts::all(summary)?.into_iter().map(|chart| ChartPart {
         title: chart.title,
@@ -101,12 +91,7 @@ pub(super) fn render(
             .map(sample_part)
             .collect::<Result<_>>()?,
     };
-    let failed =
-        |error: minijinja::Error| Error::value("page", error.to_string(), "report this as a bug");
-    // The name's ending makes the engine escape what it fills in.
-    Environment::new()
-        .render_named_str("page.html", TEMPLATE, Serde(&page))
-        .map_err(failed)
+    page::render(TEMPLATE, &page)
 }
 
 fn facts(dataset: &StereoDataset, kind: BoxKind) -> Vec<[String; 2]> {
@@ -151,16 +136,8 @@ fn row_part(row: &Row) -> Result<RowPart<'_>> {
 fn sample_part(sample: &Sample) -> Result<SamplePart<'_>> {
     Ok(SamplePart {
         caption: &sample.caption,
-        jpeg: jpeg_base64(&sample.picture)?,
+        jpeg: page::base64(&jpeg_bytes(&sample.caption, &sample.picture)?),
         width: sample.picture.width(),
         height: sample.picture.height(),
     })
-}
-
-fn jpeg_base64(picture: &RgbImage) -> Result<String> {
-    let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
-        .encode_image(picture)
-        .map_err(|error| Error::value("sample", error.to_string(), "report this as a bug"))?;
-    Ok(STANDARD.encode(bytes))
 }

@@ -4,6 +4,8 @@
 //! average precision at ten overlaps, and precision, recall and F1 at the one confidence where the
 //! mean F1 over the classes is best.
 
+mod intervals;
+
 use serde::{Deserialize, Serialize};
 
 use super::coco::{self, CocoSummary};

@@ -38,6 +38,15 @@ pub struct DistanceSummary {
     pub abs_rel: f64,
     /// Mean of the squared error over the true distance, metres.
     pub sq_rel_m: f64,
+    /// Root of the mean squared difference of the natural logarithms; None where an estimate is not
+    /// above 0.
+    pub rmse_log: Option<f64>,
+    /// Share of the pairs of which the larger value is less than 1.25 times the smaller one.
+    pub delta1: f64,
+    /// The same for 1.25 squared.
+    pub delta2: f64,
+    /// The same for 1.25 cubed.
+    pub delta3: f64,
     /// Mean squared error, square metres (paper, equation 3).
     pub mse_m2: f64,
     /// Mean squared relative error, square percent (paper, equation 4).
@@ -114,6 +123,16 @@ impl DistanceErrors {
         let share = |percent: f64| {
             mean(&|error, truth| f64::from(u8::from(error.abs() * 100.0 <= truth * percent)))
         };
+        // An estimate that is not above 0 is in no ratio to the truth.
+        let delta = |power: i32| {
+            let within = |error: f64, truth: f64| {
+                let ratio = (truth + error) / truth;
+                ratio > 0.0 && ratio.max(1.0 / ratio) < 1.25_f64.powi(power)
+            };
+            mean(&|error, truth| f64::from(u8::from(within(error, truth))))
+        };
+        let squared_log = |error: f64, truth: f64| libm::log((truth + error) / truth).powi(2);
+        let has_logs = self.pairs.iter().all(|&(estimate, _)| estimate > 0.0);
         let abs_rel = mean(&|error, truth| error.abs() / truth);
         let mse_m2 = mean(&|error, _| error * error);
         Some(DistanceSummary {
@@ -124,6 +143,10 @@ impl DistanceErrors {
             mre_percent: abs_rel * 100.0,
             abs_rel,
             sq_rel_m: mean(&|error, truth| error * error / truth),
+            rmse_log: has_logs.then(|| mean(&squared_log).sqrt()),
+            delta1: delta(1),
+            delta2: delta(2),
+            delta3: delta(3),
             mse_m2,
             msre_percent2: mean(&|error, truth| (error / truth * 100.0).powi(2)),
             bias_m: mean(&|error, _| error),
@@ -137,8 +160,8 @@ impl DistanceErrors {
     }
 }
 
-/// Quantile of ascending values, linear between neighbours.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
+/// Quantile of ascending values, of which there must be one; linear between neighbours.
+pub(super) fn quantile(sorted: &[f64], share: f64) -> f64 {
     let position = share * (sorted.len() - 1) as f64;
     let below = sorted[position.floor() as usize];
     let above = sorted[position.ceil() as usize];
@@ -187,6 +210,26 @@ mod tests {
         assert_eq!(summary.within_5_percent, 0.25);
         assert_eq!(summary.within_10_percent, 0.5);
         assert_eq!(summary.within_20_percent, 0.75);
+    }
+
+    #[test]
+    fn ratios_count_in_both_directions_and_an_estimate_below_zero_fails_them_all() {
+        let summary = errors(&[(12.4, 10.0), (8.1, 10.0), (7.9, 10.0), (19.0, 10.0)])
+            .summary()
+            .unwrap();
+        assert_eq!(
+            (summary.delta1, summary.delta2, summary.delta3),
+            (0.5, 0.75, 1.0)
+        );
+        assert!(summary.rmse_log.is_some());
+        let below = errors(&[(-1.0, 10.0), (10.0, 10.0)]).summary().unwrap();
+        assert_eq!((below.delta3, below.rmse_log), (0.5, None));
+    }
+
+    #[test]
+    fn the_logarithmic_error_of_a_constant_factor_is_its_logarithm() {
+        let summary = errors(&[(20.0, 10.0), (60.0, 30.0)]).summary().unwrap();
+        assert!((summary.rmse_log.unwrap() - std::f64::consts::LN_2).abs() < 1e-12);
     }
 
     #[test]

@@ -124,6 +124,19 @@ pub fn search(
     }
 }
 
+/// Disparity of what one box of the left image shows, as [`search`] finds it: of the visible surface,
+/// counted from the principal points, pixels of the left camera. None where the right image shows it
+/// nowhere, or in more than one place.
+pub fn disparity_px(
+    images: [&RgbImage; 2],
+    left_box: &PixelBox,
+    rig: &StereoRig,
+    config: &PairingConfig,
+) -> Option<f64> {
+    let (_, disparity_px, _) = Search::new(images, left_box, rig, config)?.partner()?;
+    Some(disparity_px)
+}
+
 /// Where several detections found the same vehicle, the one that is most like it keeps it. The
 /// others are hidden in the right image, and alike.
 fn distinct(mut partners: Vec<Partner>, left: &[Detection]) -> Vec<Partner> {
