@@ -15,6 +15,7 @@ static LONGEST_SUM: AtomicUsize = AtomicUsize::new(usize::MAX);
 ///
 /// Mesa's software adapter ends a shader's loops after 65,535 rounds in all, without a word, and
 /// what it returns then is wrong by up to 90 %. Bands of 16,384 outputs come out right there.
+#[cfg(feature = "wgpu")]
 pub(crate) fn limit_sums(longest: usize) {
     LONGEST_SUM.fetch_min(longest.max(1), Ordering::Relaxed);
 }
