@@ -4,13 +4,16 @@
 //! frames are rendered in any order and on any number of threads with the same bytes, and a stopped
 //! run goes on where it was.
 
+mod assets;
 mod config;
 mod estimate;
 mod label;
+mod outputs;
 mod part;
 mod plan;
 mod settle;
 mod truth;
+mod vehicle_count;
 mod write;
 
 use std::path::Path;
@@ -20,8 +23,11 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-pub use config::{Assets, GenerateConfig, Outputs, SplitMode, TestProtocol, VehicleCount};
+pub use assets::Assets;
+pub use config::{GenerateConfig, SplitMode, TestProtocol};
+pub use outputs::Outputs;
 pub use plan::view_of_azimuth;
+pub use vehicle_count::VehicleCount;
 
 use crate::dataset::{Split, read_frames_csv};
 use crate::error::{Error, Result};

@@ -1,17 +1,17 @@
 //! What kind of dataset to make.
 
-use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use super::{Assets, Outputs, VehicleCount};
 use crate::dataset::View;
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::StereoRig;
 use crate::render::{Appearance, Range};
-use crate::world::{AssetLibrary, Sun, Wardrobe};
+use crate::world::{Sun, Wardrobe};
 
 /// How frames are divided between training and validation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -77,159 +77,6 @@ pub struct GenerateConfig {
     pub assets: Option<Assets>,
     /// A grid of test views in scenes of their own.
     pub test: Option<TestProtocol>,
-}
-
-/// Where the user's own vehicles and props are.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Assets {
-    /// Folder with `vehicles/` and `props/`, as [`AssetLibrary`] reads it.
-    pub folder: PathBuf,
-    /// Metres of pavement for each prop, where there is room.
-    #[serde(default = "Assets::usual_spacing_m")]
-    pub prop_spacing_m: f64,
-    /// What [`AssetLibrary::digest`] has to be; filled in when a dataset is made.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub digest: Option<String>,
-}
-
-impl Assets {
-    /// The assets of a folder.
-    pub fn of(folder: PathBuf) -> Self {
-        Self {
-            folder,
-            prop_spacing_m: Self::usual_spacing_m(),
-            digest: None,
-        }
-    }
-
-    const fn usual_spacing_m() -> f64 {
-        15.0
-    }
-
-    fn library(&self) -> Result<AssetLibrary> {
-        let library = AssetLibrary::read(&self.folder)?;
-        match &self.digest {
-            Some(digest) if digest != library.digest() => Err(Error::asset(
-                &self.folder,
-                "holds other assets than when the dataset was made",
-                "bring its files back, or make another dataset without the digest in the settings",
-            )),
-            _ => Ok(library),
-        }
-    }
-}
-
-/// How many vehicles a scene has: a number, or a range from which every scene draws.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(from = "Numbers", into = "Numbers")]
-pub struct VehicleCount {
-    /// Fewest vehicles of a scene.
-    pub least: u32,
-    /// Most vehicles of a scene.
-    pub most: u32,
-}
-
-impl VehicleCount {
-    /// More than this no stretch of road has room for.
-    const LARGEST: u32 = 40;
-
-    /// The same number in every scene.
-    pub const fn exactly(number: u32) -> Self {
-        Self {
-            least: number,
-            most: number,
-        }
-    }
-
-    fn validate(self) -> Result<()> {
-        if (1..=self.most).contains(&self.least) && self.most <= Self::LARGEST {
-            return Ok(());
-        }
-        Err(Error::value(
-            format!("vehicles = {self}"),
-            "out of range",
-            format!(
-                "give a number from 1 to {largest}, or two such as [4, 8]",
-                largest = Self::LARGEST
-            ),
-        ))
-    }
-}
-
-impl fmt::Display for VehicleCount {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.least == self.most {
-            write!(f, "{}", self.least)
-        } else {
-            write!(f, "[{}, {}]", self.least, self.most)
-        }
-    }
-}
-
-/// A [`VehicleCount`] as people write it.
-#[derive(Serialize, Deserialize)]
-#[serde(untagged, expecting = "a number or a range such as [4, 8]")]
-enum Numbers {
-    One(u32),
-    Range([u32; 2]),
-}
-
-impl From<Numbers> for VehicleCount {
-    fn from(numbers: Numbers) -> Self {
-        match numbers {
-            Numbers::One(number) => Self::exactly(number),
-            Numbers::Range([least, most]) => Self { least, most },
-        }
-    }
-}
-
-impl From<VehicleCount> for Numbers {
-    fn from(VehicleCount { least, most }: VehicleCount) -> Self {
-        if least == most {
-            Self::One(least)
-        } else {
-            Self::Range([least, most])
-        }
-    }
-}
-
-/// What is written beside images and labels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-#[allow(
-    clippy::struct_excessive_bools,
-    reason = "independent switches, not states"
-)]
-pub struct Outputs {
-    /// Depth maps.
-    pub depth: bool,
-    /// Disparity maps.
-    pub disparity: bool,
-    /// Instance maps.
-    pub instances: bool,
-    /// The rig's poses.
-    pub poses: bool,
-}
-
-impl Outputs {
-    /// Folder of the depth maps, and their name on the command line.
-    pub const DEPTH: &str = "depth";
-    /// Folder of the disparity maps, and their name on the command line.
-    pub const DISPARITY: &str = "disparity";
-    /// Folder of the instance maps, and their name on the command line.
-    pub const INSTANCES: &str = "instances";
-
-    /// Folders of the maps that are wanted.
-    pub fn map_folders(self) -> impl Iterator<Item = &'static str> {
-        [
-            (self.depth, Self::DEPTH),
-            (self.disparity, Self::DISPARITY),
-            (self.instances, Self::INSTANCES),
-        ]
-        .into_iter()
-        .filter_map(|(wanted, folder)| wanted.then_some(folder))
-    }
 }
 
 /// Test frames: one for every combination of distance, sun and view.

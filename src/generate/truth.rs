@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::config::Outputs;
+use super::Outputs;
 use super::settle::Capture;
 use super::write::Target;
 use crate::dataset::stamp_name;

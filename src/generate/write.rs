@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _, RgbImage};
 
-use super::config::Outputs;
+use super::Outputs;
 use super::part::Task;
 use crate::dataset::{
     BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, ObjectRow, frames_csv_text,

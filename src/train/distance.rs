@@ -1,8 +1,7 @@
 //! The distance network's recipe.
 
-use std::collections::HashMap;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -13,6 +12,7 @@ use rayon::prelude::*;
 
 use super::augment::mirror_composite;
 use super::config::{DistanceMerit, DistanceTraining, TrainConfig};
+use super::frame_cache::FrameCache;
 use super::log::{EpochRow, RunLog};
 use super::normalize::normalize_layers;
 use super::optimizer::{freeze, initialize, scalar};
@@ -477,44 +477,5 @@ impl Recipe for DistanceRecipe {
 
     fn save(&self, model: &RangingNetwork, path: &Path) -> Result<()> {
         DistanceEstimator::save(model, &self.header, path)
-    }
-}
-
-/// Decoded frames, kept until a budget of bytes is used up.
-struct FrameCache {
-    budget: usize,
-    kept: Mutex<Kept>,
-}
-
-#[derive(Default)]
-struct Kept {
-    bytes: usize,
-    frames: HashMap<u64, Arc<[RgbImage; 2]>>,
-}
-
-impl FrameCache {
-    fn new(budget: usize) -> Self {
-        Self {
-            budget,
-            kept: Mutex::default(),
-        }
-    }
-
-    fn load(&self, frame: &Frame, rig: &StereoRig) -> Result<Arc<[RgbImage; 2]>> {
-        let lock = || self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(images) = lock().frames.get(&frame.row.stamp) {
-            return Ok(Arc::clone(images));
-        }
-        let images = Arc::new(frame.load(rig)?);
-        let bytes = images
-            .iter()
-            .map(|image| image.as_raw().len())
-            .sum::<usize>();
-        let mut kept = lock();
-        if kept.bytes + bytes <= self.budget && !kept.frames.contains_key(&frame.row.stamp) {
-            kept.bytes += bytes;
-            kept.frames.insert(frame.row.stamp, Arc::clone(&images));
-        }
-        Ok(images)
     }
 }

@@ -5,6 +5,7 @@ mod checkpoint;
 mod config;
 mod detector;
 mod distance;
+mod frame_cache;
 mod learner;
 mod log;
 mod normalize;
