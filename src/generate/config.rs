@@ -339,14 +339,16 @@ mod tests {
     }
 
     #[test]
-    fn the_quick_preset_is_the_default_but_for_the_bodies_and_the_test_frames() {
+    fn the_quick_preset_is_the_default_but_for_bodies_paints_and_test_frames() {
         let mut quick = GenerateConfig {
             test: None,
             ..GenerateConfig::preset("quick").unwrap()
         };
         let all = GenerateConfig::default();
-        assert!(quick.appearance.bodies.len() < all.appearance.bodies.len());
-        quick.appearance.bodies.clone_from(&all.appearance.bodies);
+        let (held, whole) = (&mut quick.appearance, &all.appearance);
+        assert!(held.bodies.len() < whole.bodies.len() && held.paints.len() < whole.paints.len());
+        held.bodies.clone_from(&whole.bodies);
+        held.paints.clone_from(&whole.paints);
         assert_eq!(quick, all);
     }
 
