@@ -113,7 +113,8 @@ impl GenerateArgs {
 
     fn resolve(&self) -> Result<GenerateConfig> {
         let mut config = match &self.config {
-            Some(path) => GenerateConfig::from_toml_file(path)?,
+            // Checked below: a body of the file may come from the folder of --assets.
+            Some(path) => GenerateConfig::unchecked_from_toml_file(path)?,
             None => GenerateConfig::preset(&self.preset)?,
         };
         if let Some(frames) = self.frames {

@@ -149,7 +149,9 @@ impl GenerateConfig {
                 ));
             }
         };
-        Self::parse(text, name)
+        let config = Self::parse(text, name)?;
+        config.validate()?;
+        Ok(config)
     }
 
     /// Reads a configuration file.
@@ -157,20 +159,28 @@ impl GenerateConfig {
     /// # Errors
     /// A file that cannot be read, is not TOML, has an unknown field or an unusable value.
     pub fn from_toml_file(path: impl AsRef<Path>) -> Result<Self> {
+        let config = Self::unchecked_from_toml_file(path)?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Reads a configuration file whose values are changed, and checked, later.
+    ///
+    /// # Errors
+    /// A file that cannot be read, is not TOML or has an unknown field.
+    pub fn unchecked_from_toml_file(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         Self::parse(&files::read_text(path)?, &path.display().to_string())
     }
 
     fn parse(text: &str, name: &str) -> Result<Self> {
-        let config: Self = toml::from_str(text).map_err(|error| {
+        toml::from_str(text).map_err(|error| {
             Error::value(
                 format!("dataset configuration {name}"),
                 error.to_string().trim().to_owned(),
                 "correct the file; datasets/quick.toml shows every setting",
             )
-        })?;
-        config.validate()?;
-        Ok(config)
+        })
     }
 
     /// Checks every value.

@@ -161,6 +161,18 @@ fn assets_that_cannot_be_used_are_named_before_anything_is_written() {
     place
         .line(&format!("{generate} flat"))
         .error_says(&["car.gltf", "has no scene"]);
+    // A body of the configuration may come from the folder that the command line names.
+    let brick = format!(
+        "{}[appearance]\nbodies = [\"brick\"]\n",
+        super::TINY_DATASET
+    );
+    place.write("brick.toml", brick);
+    place
+        .line("generate --config brick.toml --out d")
+        .error_says(&["brick", "--assets"]);
+    place
+        .line("generate --config brick.toml --out d --assets broken")
+        .error_says(&["car.glb", "export"]);
     assert!(!place.path("d").exists());
     place.line("generate --config tiny.toml --out d").success();
     place
