@@ -149,9 +149,7 @@ impl GenerateConfig {
                 ));
             }
         };
-        let config = Self::parse(text, name)?;
-        config.validate()?;
-        Ok(config)
+        Self::parse(text, name)
     }
 
     /// Reads a configuration file.
@@ -159,9 +157,8 @@ impl GenerateConfig {
     /// # Errors
     /// A file that cannot be read, is not TOML, has an unknown field or an unusable value.
     pub fn from_toml_file(path: impl AsRef<Path>) -> Result<Self> {
-        let config = Self::unchecked_from_toml_file(path)?;
-        config.validate()?;
-        Ok(config)
+        let path = path.as_ref();
+        Self::parse(&files::read_text(path)?, &path.display().to_string())
     }
 
     /// Reads a configuration file whose values are changed, and checked, later.
@@ -170,10 +167,16 @@ impl GenerateConfig {
     /// A file that cannot be read, is not TOML or has an unknown field.
     pub fn unchecked_from_toml_file(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        Self::parse(&files::read_text(path)?, &path.display().to_string())
+        Self::read(&files::read_text(path)?, &path.display().to_string())
     }
 
     fn parse(text: &str, name: &str) -> Result<Self> {
+        let config = Self::read(text, name)?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    fn read(text: &str, name: &str) -> Result<Self> {
         toml::from_str(text).map_err(|error| {
             Error::value(
                 format!("dataset configuration {name}"),
