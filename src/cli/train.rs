@@ -362,14 +362,14 @@ impl Overrides {
                 set(&mut table, section, "epochs", i64::from(epochs));
             }
         }
-        for (section, weights) in [
-            ("detector", &self.weights),
-            ("distance", &self.distance_weights),
+        for (option, section, weights) in [
+            ("--weights", "detector", &self.weights),
+            ("--distance-weights", "distance", &self.distance_weights),
         ] {
             let Some(weights) = weights else { continue };
             let Some(path) = weights.to_str() else {
                 return Err(Error::value(
-                    format!("weights {}", weights.display()),
+                    format!("{option} {}", weights.display()),
                     "the name is not Unicode",
                     "rename the file",
                 ));

@@ -22,8 +22,8 @@
     reason = "vector loads and disjoint parallel stores; each block says why it is sound"
 )]
 
-mod avx512;
 #[cfg(target_arch = "x86_64")]
+mod avx512;
 pub(crate) mod bands;
 pub mod chain;
 pub mod conv;
