@@ -1,4 +1,5 @@
-//! Devices chosen at run time: `flex`, `ndarray`, `wgpu`, `cuda`, with `:N` for the N-th of a kind.
+//! Devices chosen at run time: `flex`, `ndarray`, `wgpu`, `cuda`, with `:N` for the N-th of a kind, and
+//! `remote:ADDRESS` for one that [`crate::worker`] serves on another machine.
 
 use std::fmt;
 use std::str::FromStr;
@@ -14,10 +15,17 @@ enum Kind {
     NdArray,
     Wgpu,
     Cuda,
+    Remote,
 }
 
 impl Kind {
-    const ALL: [Self; 4] = [Self::Flex, Self::NdArray, Self::Wgpu, Self::Cuda];
+    const ALL: [Self; 5] = [
+        Self::Flex,
+        Self::NdArray,
+        Self::Wgpu,
+        Self::Cuda,
+        Self::Remote,
+    ];
 
     fn word(self) -> &'static str {
         match self {
@@ -25,6 +33,7 @@ impl Kind {
             Self::NdArray => "ndarray",
             Self::Wgpu => "wgpu",
             Self::Cuda => "cuda",
+            Self::Remote => "remote",
         }
     }
 
@@ -34,6 +43,7 @@ impl Kind {
             Self::NdArray => "processor, Burn's older backend; slow, for comparison",
             Self::Wgpu => "graphics card through Vulkan, Metal or DirectX 12",
             Self::Cuda => "NVIDIA graphics card",
+            Self::Remote => "device of another machine, served by `twinsight worker`",
         }
     }
 
@@ -43,15 +53,18 @@ impl Kind {
             Self::NdArray => cfg!(feature = "ndarray"),
             Self::Wgpu => cfg!(feature = "wgpu"),
             Self::Cuda => cfg!(feature = "cuda"),
+            Self::Remote => cfg!(feature = "remote"),
         }
     }
 }
 
 /// A device as a person names it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DeviceName {
     kind: Kind,
     index: usize,
+    /// Of a remote device: `ID@HOST:PORT`.
+    address: Option<String>,
 }
 
 impl DeviceName {
@@ -59,13 +72,19 @@ impl DeviceName {
     pub const FLEX: Self = Self {
         kind: Kind::Flex,
         index: 0,
+        address: None,
     };
+
+    /// Whether devices of this kind can add up their gradients among themselves.
+    pub(crate) fn is_collective(&self) -> bool {
+        matches!(self.kind, Kind::Cuda | Kind::Remote)
+    }
 
     /// Opens the device.
     ///
     /// # Errors
     /// A device that this build was not made for or that this machine does not have.
-    pub fn open(self) -> Result<Device> {
+    pub fn open(&self) -> Result<Device> {
         if !self.kind.built_in() {
             let word = self.kind.word();
             return Err(Error::device(
@@ -96,6 +115,10 @@ impl DeviceName {
             Kind::Wgpu => gpu::open_wgpu(self),
             #[cfg(feature = "cuda")]
             Kind::Cuda => gpu::open_cuda(self),
+            #[cfg(feature = "remote")]
+            Kind::Remote => {
+                crate::worker::connect(self.address.as_deref().unwrap_or(""), self.index)
+            }
             #[allow(unreachable_patterns, reason = "reached when a feature is off")]
             _ => Err(Error::device(
                 self.to_string(),
@@ -110,18 +133,44 @@ impl FromStr for DeviceName {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
+        if let Some(address) = text.strip_prefix("remote:") {
+            let (address, index) = match address.rsplit_once('#') {
+                Some((address, index)) => (address, index.parse().ok()),
+                None => (address, Some(0)),
+            };
+            let complete = address
+                .split_once('@')
+                .is_some_and(|(id, place)| !id.is_empty() && place.contains(':'));
+            let Some(index) = index.filter(|_| complete) else {
+                return Err(Error::device(
+                    format!("\"{text}\""),
+                    "is not the address of a worker",
+                    "give remote:ID@HOST:PORT as `twinsight worker` prints it, with #N for the N-th \
+                     of its devices",
+                ));
+            };
+            return Ok(Self {
+                kind: Kind::Remote,
+                index,
+                address: Some(address.to_owned()),
+            });
+        }
         let (word, index) = match text.split_once(':') {
             Some((word, index)) => (word, index.parse().ok()),
             None => (text, Some(0)),
         };
         let kind = Kind::ALL.into_iter().find(|kind| kind.word() == word);
         match (kind, index) {
-            (Some(kind), Some(index)) => Ok(Self { kind, index }),
+            (Some(kind), Some(index)) if kind != Kind::Remote => Ok(Self {
+                kind,
+                index,
+                address: None,
+            }),
             _ => Err(Error::device(
                 format!("\"{text}\""),
                 "there is no such device",
-                "give flex, ndarray, wgpu or cuda, with :N for the N-th of several; \
-                 `twinsight devices` lists what this machine has",
+                "give flex, ndarray, wgpu or cuda, with :N for the N-th of several, or \
+                 remote:ADDRESS; `twinsight devices` lists what this machine has",
             )),
         }
     }
@@ -129,9 +178,11 @@ impl FromStr for DeviceName {
 
 impl fmt::Display for DeviceName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.index {
-            0 => f.write_str(self.kind.word()),
-            index => write!(f, "{}:{index}", self.kind.word()),
+        match (&self.address, self.index) {
+            (None, 0) => f.write_str(self.kind.word()),
+            (None, index) => write!(f, "{}:{index}", self.kind.word()),
+            (Some(address), 0) => write!(f, "remote:{address}"),
+            (Some(address), index) => write!(f, "remote:{address}#{index}"),
         }
     }
 }
@@ -202,7 +253,7 @@ mod gpu {
     use super::{Device, DeviceName, Error, Result, missing};
 
     /// Refuses an index that no card has: Burn itself would panic in its device thread.
-    fn check(name: DeviceName, found: &[String]) -> Result<()> {
+    fn check(name: &DeviceName, found: &[String]) -> Result<()> {
         if name.index < found.len() {
             return Ok(());
         }
@@ -222,7 +273,7 @@ mod gpu {
     }
 
     #[cfg(feature = "wgpu")]
-    pub fn open_wgpu(name: DeviceName) -> Result<Device> {
+    pub fn open_wgpu(name: &DeviceName) -> Result<Device> {
         use burn::tensor::DeviceKind;
         let found = enumerate();
         let names: Vec<String> = found.iter().map(|info| info.name.clone()).collect();
@@ -274,7 +325,7 @@ mod gpu {
     }
 
     #[cfg(feature = "cuda")]
-    pub fn open_cuda(name: DeviceName) -> Result<Device> {
+    pub fn open_cuda(name: &DeviceName) -> Result<Device> {
         check(name, &cuda_cards())?;
         Ok(Device::cuda(name.index))
     }
@@ -295,7 +346,15 @@ mod tests {
 
     #[test]
     fn device_names_round_trip() {
-        for text in ["flex", "ndarray", "wgpu", "wgpu:2", "cuda:1"] {
+        for text in [
+            "flex",
+            "ndarray",
+            "wgpu",
+            "wgpu:2",
+            "cuda:1",
+            "remote:ab12@gpu.local:7411",
+            "remote:ab12@[::1]:7411#1",
+        ] {
             assert_eq!(text.parse::<DeviceName>().unwrap().to_string(), text);
         }
     }
@@ -305,6 +364,20 @@ mod tests {
         for text in ["tpu", "cuda:x", "", "flex:-1"] {
             let message = text.parse::<DeviceName>().unwrap_err().to_string();
             assert!(message.contains("flex, ndarray, wgpu or cuda"), "{message}");
+        }
+    }
+
+    #[test]
+    fn an_incomplete_address_is_refused_with_its_form() {
+        for text in [
+            "remote",
+            "remote:",
+            "remote:ab12",
+            "remote:@host:1",
+            "remote:a@b:1#x",
+        ] {
+            let message = text.parse::<DeviceName>().unwrap_err().to_string();
+            assert!(message.contains(text), "{message}");
         }
     }
 

@@ -85,6 +85,8 @@ pub mod report;
 pub mod train;
 pub mod validate;
 pub mod weights;
+#[cfg(feature = "remote")]
+pub mod worker;
 pub mod world;
 
 pub use error::{Error, Result};

@@ -115,7 +115,7 @@ fn run(
             run: &run,
             stage,
             resume: false,
-            device,
+            devices: &[device],
         },
         &Silent,
     )

@@ -92,7 +92,7 @@ impl EvaluateArgs {
             run: &self.run,
             data: &self.data,
             split: self.split,
-            device: self.device,
+            device: self.device.clone(),
             options: PredictOptions {
                 confidence: self.confidence,
                 pairing_mode: self.pairing,

@@ -20,6 +20,8 @@ mod terminal;
 mod train;
 mod validate;
 mod values;
+#[cfg(feature = "remote")]
+mod worker;
 
 use std::process::ExitCode;
 
@@ -66,6 +68,8 @@ enum Command {
     Report(report::ReportArgs),
     Predict(predict::PredictArgs),
     Devices(devices::DevicesArgs),
+    #[cfg(feature = "remote")]
+    Worker(worker::WorkerArgs),
 }
 
 impl Cli {
@@ -83,6 +87,8 @@ impl Cli {
             Command::Report(args) => args.run(self.quiet),
             Command::Predict(args) => args.run(),
             Command::Devices(_) => devices::DevicesArgs::run(),
+            #[cfg(feature = "remote")]
+            Command::Worker(args) => args.run(),
         };
         done.map(|()| ExitCode::SUCCESS)
     }

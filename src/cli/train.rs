@@ -42,9 +42,10 @@ pub struct TrainArgs {
     /// Folder of the run [default: checkpoints/ and the name of the configuration or preset]
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
-    /// What to compute on; `twinsight devices` lists the choices
-    #[arg(long, default_value_t = DeviceName::FLEX)]
-    device: DeviceName,
+    /// What to compute on; `twinsight devices` lists the choices. Several, separated by commas, share
+    /// every batch
+    #[arg(long, value_delimiter = ',', default_value = "flex")]
+    device: Vec<DeviceName>,
     /// Go on with a run that was stopped
     #[arg(long)]
     resume: bool,
@@ -165,7 +166,7 @@ impl TrainArgs {
                 run: &run,
                 stage: self.stage.stage(),
                 resume: self.resume,
-                device: self.device,
+                devices: &self.device,
             };
             train(&request, progress)
         })?;
@@ -192,7 +193,7 @@ impl TrainArgs {
             run,
             stage: self.stage.stage(),
             resume: false,
-            device: self.device,
+            devices: &self.device,
         };
         let plan = terminal::with_progress(quiet, |progress| plan(&request, progress))?;
         stdout::print(&format!("{plan}\n"))
@@ -251,7 +252,9 @@ impl TrainArgs {
                 ));
             }
         }
-        self.device.open()?;
+        for device in &self.device {
+            device.open()?;
+        }
         for weights in [&config.detector.weights, &config.distance.weights]
             .into_iter()
             .flatten()
@@ -303,13 +306,14 @@ impl TrainArgs {
     /// The command that trains another stage into the same run with the settings that both share.
     fn train_command(&self, stage: &str, data: &Path, run: &Path) -> String {
         let overrides = &self.overrides;
-        let device = (self.device != DeviceName::FLEX).then_some(self.device);
+        let devices: Vec<String> = self.device.iter().map(ToString::to_string).collect();
+        let devices = (self.device != [DeviceName::FLEX]).then(|| devices.join(","));
         let options = [
             ("--preset", Some(self.preset.clone())),
             ("--config", self.config.as_deref().map(quoted)),
             ("--data", Some(quoted(data))),
             ("--run", Some(quoted(run))),
-            ("--device", device.map(|device| device.to_string())),
+            ("--device", devices),
             ("--seed", overrides.seed.map(|seed| seed.to_string())),
             (
                 "--box-kind",

@@ -1,5 +1,7 @@
 //! Detection metrics over a set of images.
 
+use std::ops::Range;
+
 use burn_dataset::Dataset as _;
 use rayon::prelude::*;
 
@@ -13,17 +15,18 @@ use crate::metrics::{DetectionMetrics, Target};
 /// Images that run as one batch.
 const BATCH: usize = 16;
 
-/// Matches the detector's boxes with the labels of a set of images, in the coordinates of the
-/// network's input.
+/// Matches the detector's boxes with the labels of some items of a set of images, in the coordinates
+/// of the network's input.
 ///
 /// # Errors
 /// An image that cannot be read, or a device that fails.
 pub fn detection_metrics(
     detector: &VehicleDetector,
     source: &DetectionSource,
+    items: Range<usize>,
 ) -> Result<DetectionMetrics> {
     let mut metrics = DetectionMetrics::new(detector.header().classes.len());
-    let indices: Vec<usize> = (0..source.len()).collect();
+    let indices: Vec<usize> = items.collect();
     for indices in indices.chunks(BATCH) {
         let items = indices
             .par_iter()

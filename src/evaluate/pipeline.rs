@@ -30,7 +30,7 @@ pub(super) const DRAWS: usize = 1000;
 const DETECTION_DRAWS: usize = 200;
 
 /// What to evaluate, and on what.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct EvaluateRequest<'a> {
     /// Run folder.
     pub run: &'a Path,

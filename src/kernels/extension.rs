@@ -129,6 +129,7 @@ pub enum Residual<B: Backend> {
     Flex: cfg(feature = "flex"),
     NdArray: cfg(feature = "ndarray"),
     Cube: cfg(any(feature = "wgpu", feature = "cuda")),
+    Remote: cfg(feature = "remote"),
     Autodiff
 )]
 pub trait KernelBackend: Backend {
@@ -467,3 +468,7 @@ impl KernelBackend for burn::backend::NdArray {}
 
 #[cfg(any(feature = "wgpu", feature = "cuda"))]
 impl KernelBackend for burn::backend::Cube {}
+
+// A worker composes the operations of its own backend's.
+#[cfg(feature = "remote")]
+impl KernelBackend for burn::backend::Remote {}

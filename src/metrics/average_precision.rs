@@ -130,6 +130,16 @@ impl DetectionMetrics {
         }
     }
 
+    /// Adds everything that another collection over the same classes holds.
+    pub fn merge(&mut self, other: &Self) {
+        self.images.extend_from_slice(&other.images);
+    }
+
+    /// Whether no image was added yet.
+    pub fn is_empty(&self) -> bool {
+        self.images.is_empty()
+    }
+
     /// Adds an image without boxes to ignore; see [`DetectionMetrics::add_image_ignoring`].
     ///
     /// # Errors

@@ -1,18 +1,32 @@
-//! Saving and resuming a stage of training.
+//! Saving and resuming a stage of training: burn-train's checkpointers, into one folder an epoch
+//! that counts as soon as it is complete.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use burn::module::Module;
-use burn::optim::ModuleOptimizer;
-use burn::store::RecordError;
+use burn::lr_scheduler::LrSchedulerRecord;
+use burn::module::Module as _;
+use burn::optim::OptimizerRecord;
+use burn::store::ModuleRecord;
+use burn::train::checkpoint::{
+    Checkpoint, Checkpointer, CheckpointerError, CheckpointingAction, CheckpointingStrategy,
+};
+use burn::train::metric::store::{Aggregate, EventStoreClient, Split};
+use burn::train::{EarlyStoppingStrategy, LearnerModel};
 use serde::{Deserialize, Serialize};
 
+use super::stage::{Recipe, Steering};
+use super::trainee::{Failure, TraineeOf};
 use crate::error::{Error, Result};
 use crate::files;
 
-/// What resuming needs beside the state itself.
-const RESUME_FILES: [&str; 3] = ["model.bpk", "average.bpk", "optimizer.bpk"];
+const MODEL: &str = "model.bpk";
+const OPTIMIZER: &str = "optimizer.bpk";
+const SCHEDULE: &str = "schedule.bpk";
+/// What an epoch is resumed from, beside its state.
+const RECORDS: [&str; 3] = [MODEL, OPTIMIZER, SCHEDULE];
+const STATE: &str = "state.json";
 
 /// How far a stage is.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -21,12 +35,9 @@ pub struct StageState {
     pub epoch: u32,
     /// Optimiser steps taken.
     pub step: u64,
-    /// Updates of the averaged weights.
-    pub ema_updates: u64,
-    /// Best validation result so far and its epoch.
+    /// Best validation result so far, the larger the better, and its epoch.
     pub best: Option<(f64, u32)>,
     /// Length and check sum of the files beside this one.
-    #[serde(default)]
     pub files: BTreeMap<String, String>,
     /// The settings of the stage as JSON text, to notice that they changed. Text, because numbers
     /// that are parsed and compared again may differ in their last bit.
@@ -93,81 +104,52 @@ impl StageFolder {
         self.folder.join("resume")
     }
 
-    /// Saves everything that resuming needs: written beside the old state, then exchanged, so that
-    /// one complete state exists at any moment.
-    ///
-    /// # Errors
-    /// A file that cannot be written.
-    pub fn save<M: Module>(
-        &self,
-        state: &StageState,
-        model: &M,
-        average: Option<M>,
-        optimizer: &ModuleOptimizer,
-    ) -> Result<()> {
-        let fresh = self.folder.join("resume.new");
-        let old = self.folder.join("resume.old");
-        let current = self.resume();
-        remove(&fresh)?;
-        files::create_folder(&fresh)?;
-        let broken = |path: &Path| {
-            let path = path.to_path_buf();
-            move |source: RecordError| Error::Io {
-                action: "write",
-                path,
-                source: std::io::Error::other(source.to_string()),
-            }
-        };
-        let path = fresh.join("model.bpk");
-        model.clone().save_file(&path).map_err(broken(&path))?;
-        if let Some(average) = average {
-            let path = fresh.join("average.bpk");
-            average.save_file(&path).map_err(broken(&path))?;
-        }
-        let path = fresh.join("optimizer.bpk");
-        optimizer.save(&path).map_err(broken(&path))?;
-        let mut state = state.clone();
-        for name in RESUME_FILES {
-            let path = fresh.join(name);
-            if path.exists() {
-                let mark = files::content_mark(&path)?;
-                state.files.insert(name.to_owned(), mark);
-            }
-        }
-        let json = serde_json::to_vec_pretty(&state).map_err(|source| {
-            Error::training(
-                format!("cannot encode the state: {source}"),
-                "report this as a defect",
-            )
-        })?;
-        files::write_atomically(fresh.join("state.json"), &json)?;
-        remove(&old)?;
-        if current.exists() {
-            std::fs::rename(&current, &old).map_err(Error::io("rename", &current))?;
-        }
-        std::fs::rename(&fresh, &current).map_err(Error::io("rename", &fresh))?;
-        remove(&old)
+    fn resume_epoch(&self, epoch: usize) -> PathBuf {
+        self.resume().join(format!("epoch-{epoch:04}"))
     }
 
-    /// The state to resume from, if there is one.
+    /// Folders of epochs in `resume`, complete or not, by epoch.
+    fn resume_epochs(&self) -> Result<BTreeMap<u32, PathBuf>> {
+        let resume = self.resume();
+        if !resume.exists() {
+            return Ok(BTreeMap::new());
+        }
+        let mut epochs = BTreeMap::new();
+        for entry in std::fs::read_dir(&resume).map_err(Error::io("read", &resume))? {
+            let path = entry.map_err(Error::io("read", &resume))?.path();
+            let name = path.file_name().and_then(|name| name.to_str());
+            let epoch = name.and_then(|name| name.strip_prefix("epoch-")?.parse().ok());
+            if let Some(epoch) = epoch {
+                epochs.insert(epoch, path);
+            }
+        }
+        Ok(epochs)
+    }
+
+    /// The state to resume from, if there is one: the last complete epoch.
     ///
     /// # Errors
     /// A state that cannot be read, or that belongs to other settings.
     pub fn state(&self, settings: &str) -> Result<Option<StageState>> {
-        let (current, old) = (self.resume(), self.folder.join("resume.old"));
-        if !current.exists() && old.exists() {
-            // A stop between the two renames of `save`.
-            std::fs::rename(&old, &current).map_err(Error::io("rename", &old))?;
+        if self.resume().join(STATE).exists() {
+            return Err(Error::training(
+                format!("{} was saved by an older version", self.resume().display()),
+                "train into another --run from this one's weights (--weights, --distance-weights)",
+            ));
         }
-        let path = current.join("state.json");
-        if !path.exists() {
+        let complete = self
+            .resume_epochs()?
+            .into_values()
+            .rfind(|folder| folder.join(STATE).exists());
+        let Some(folder) = complete else {
             return Ok(None);
-        }
+        };
+        let path = folder.join(STATE);
         let text = files::read_text(&path)?;
         let state: StageState = serde_json::from_str(&text).map_err(|source| {
             Error::training(
                 format!("{} cannot be read: {source}", path.display()),
-                "delete the folder to start the stage afresh",
+                "delete the `resume` folder to start the stage afresh",
             )
         })?;
         if state.settings != settings {
@@ -176,9 +158,10 @@ impl StageFolder {
                 "resume with the settings of the run's config.json, or train into another --run",
             ));
         }
-        for (name, mark) in &state.files {
-            let path = current.join(name);
-            if !path.exists() || files::content_mark(&path)? != *mark {
+        for name in RECORDS {
+            let path = folder.join(name);
+            let mark = state.files.get(name);
+            if !path.exists() || mark != Some(&files::content_mark(&path)?) {
                 return Err(Error::weights(
                     path,
                     "is missing or damaged: it is not what training saved",
@@ -189,37 +172,270 @@ impl StageFolder {
         Ok(Some(state))
     }
 
-    /// Loads model, averaged model and optimiser as they were saved.
+    /// Removes everything to resume from, for a stage that starts afresh.
     ///
     /// # Errors
-    /// A file that cannot be read or does not fit.
-    pub fn load<M: Module>(
-        &self,
-        model: M,
-        average: Option<M>,
-        optimizer: ModuleOptimizer,
-    ) -> Result<(M, Option<M>, ModuleOptimizer)> {
-        let resume = self.resume();
-        let broken = |path: &Path| {
-            let path = path.to_path_buf();
-            move |source: RecordError| {
-                Error::weights(
-                    path,
-                    format!("cannot be loaded: {source}"),
-                    "delete the `resume` folder beside it to start the stage afresh",
-                )
-            }
+    /// A folder that cannot be removed.
+    pub fn forget(&self) -> Result<()> {
+        remove(&self.resume())
+    }
+}
+
+/// Saves the epochs of a stage: what burn-train's three checkpointers write becomes one state, and
+/// weights for users beside it.
+pub struct StageSaver<R: Recipe> {
+    folder: StageFolder,
+    recipe: Arc<R>,
+    steering: Steering,
+    steps_per_epoch: u64,
+    /// A copy of the network that records are read into.
+    template: Mutex<TraineeOf<R>>,
+    progress: Mutex<Saving>,
+    failure: Failure,
+}
+
+#[derive(Default)]
+struct Saving {
+    /// Best result and its epoch so far.
+    best: Option<(f64, u32)>,
+    /// Whether something counts as the best weights already.
+    has_best: bool,
+    /// Epochs that are being saved.
+    epochs: BTreeMap<usize, SavedSoFar>,
+    /// Epochs whose weights are the best so far.
+    improved: Option<usize>,
+}
+
+/// An epoch of which some records are written.
+#[derive(Default)]
+struct SavedSoFar {
+    /// The best result by then.
+    best: Option<(f64, u32)>,
+    /// Marks of the records that are written.
+    files: BTreeMap<String, String>,
+}
+
+impl<R: Recipe> StageSaver<R> {
+    /// A saver that goes on after a state.
+    pub fn new(
+        folder: StageFolder,
+        steering: Steering,
+        steps_per_epoch: u64,
+        trainee: &TraineeOf<R>,
+        state: &StageState,
+    ) -> Self
+    where
+        TraineeOf<R>: LearnerModel,
+    {
+        Self {
+            // Only a copy for inference has running statistics of its own.
+            template: Mutex::new(trainee.valid()),
+            recipe: Arc::clone(&trainee.course.recipe),
+            steering,
+            steps_per_epoch,
+            progress: Mutex::new(Saving {
+                best: state.best,
+                has_best: state.best.is_some() || folder.best().exists() && state.epoch > 0,
+                ..Saving::default()
+            }),
+            folder,
+            failure: trainee.course.failure.clone(),
+        }
+    }
+
+    fn progress(&self) -> MutexGuard<'_, Saving> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The numbers that steer the stage.
+    pub fn steering(&self) -> &Steering {
+        &self.steering
+    }
+
+    /// Best result and its epoch.
+    pub fn best(&self) -> Option<(f64, u32)> {
+        self.progress().best
+    }
+
+    /// Notes the result of an epoch before it is saved.
+    fn judge(&self, epoch: usize, result: Option<f64>) {
+        let mut progress = self.progress();
+        let result = result.filter(|result| result.is_finite());
+        let improves = match (result, progress.best) {
+            (Some(result), Some((best, _))) => result > best,
+            (Some(_), None) => true,
+            // Without validation the last weights count.
+            (None, _) => epoch == self.steering.epochs as usize && !progress.has_best,
         };
-        let path = resume.join("model.bpk");
-        let model = model.try_load_file(&path).map_err(broken(&path))?;
-        let path = resume.join("average.bpk");
-        let average = average
-            .map(|average| average.try_load_file(&path))
-            .transpose()
-            .map_err(broken(&path))?;
-        let path = resume.join("optimizer.bpk");
-        let optimizer = optimizer.load(&path).map_err(broken(&path))?;
-        Ok((model, average, optimizer))
+        if improves {
+            progress.best = result.map(|result| (result, epoch as u32));
+            progress.has_best = true;
+            progress.improved = Some(epoch);
+        }
+        let best = progress.best;
+        let saving = SavedSoFar {
+            best,
+            ..SavedSoFar::default()
+        };
+        progress.epochs.insert(epoch, saving);
+    }
+
+    /// Writes one of the records of an epoch; the last of them completes it.
+    fn save<C: Checkpoint>(&self, epoch: usize, name: &str, record: C) -> Result<()> {
+        let folder = self.folder.resume_epoch(epoch);
+        files::create_folder(&folder)?;
+        let path = folder.join(name);
+        let partial = folder.join(format!("{name}.partial"));
+        record
+            .save(partial.clone())
+            .map_err(|source| broken("write", &path, &source))?;
+        std::fs::rename(&partial, &path).map_err(Error::io("rename", &partial))?;
+        let mark = files::content_mark(&path)?;
+        if name == MODEL {
+            self.save_weights(epoch, &path)?;
+        }
+        let mut progress = self.progress();
+        let Some(saved) = progress.epochs.get_mut(&epoch) else {
+            return Ok(());
+        };
+        saved.files.insert(name.to_owned(), mark);
+        if saved.files.len() < RECORDS.len() {
+            return Ok(());
+        }
+        let SavedSoFar { best, files } = progress.epochs.remove(&epoch).unwrap_or_default();
+        drop(progress);
+        let state = StageState {
+            epoch: epoch as u32,
+            step: epoch as u64 * self.steps_per_epoch,
+            best,
+            files,
+            settings: self.steering.settings.clone(),
+        };
+        let json = serde_json::to_vec_pretty(&state).map_err(|source| {
+            Error::training(
+                format!("cannot encode the state: {source}"),
+                "report this as a defect",
+            )
+        })?;
+        files::write_atomically(folder.join(STATE), &json)?;
+        // Only now are the epochs before it superfluous.
+        for (earlier, folder) in self.folder.resume_epochs()? {
+            if (earlier as usize) < epoch {
+                remove(&folder)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes what users take: the last weights, the best ones, those of the last epochs.
+    fn save_weights(&self, epoch: usize, record: &Path) -> Result<()> {
+        let unreadable = |source: burn::store::RecordError| {
+            broken("read", record, &CheckpointerError::Record(source))
+        };
+        let loaded = ModuleRecord::load(record).map_err(unreadable)?;
+        let mut template = self.template.lock().unwrap_or_else(PoisonError::into_inner);
+        let trainee = template
+            .clone()
+            .try_load_record(loaded)
+            .map_err(unreadable)?;
+        let usable = trainee.usable();
+        *template = trainee;
+        drop(template);
+        let improved = self.progress().improved == Some(epoch);
+        if improved {
+            self.recipe.save(&usable, &self.folder.best())?;
+        }
+        let keep_last = self.steering.keep_last;
+        if keep_last > 0 {
+            let epoch = epoch as u32;
+            self.recipe.save(&usable, &self.folder.of_epoch(epoch))?;
+            self.folder
+                .drop_epochs_before((epoch + 1).saturating_sub(keep_last))?;
+        }
+        self.recipe.save(&usable, &self.folder.last())
+    }
+}
+
+fn broken(action: &'static str, path: &Path, source: &CheckpointerError) -> Error {
+    Error::Io {
+        action,
+        path: path.to_path_buf(),
+        source: std::io::Error::other(source.to_string()),
+    }
+}
+
+/// One of burn-train's checkpointers: the model's, the optimiser's or the schedule's.
+pub struct RecordSaver<R: Recipe> {
+    saver: Arc<StageSaver<R>>,
+    name: &'static str,
+}
+
+impl<R: Recipe> RecordSaver<R> {
+    /// All three, in that order.
+    pub fn all(saver: &Arc<StageSaver<R>>) -> [Self; 3] {
+        RECORDS.map(|name| Self {
+            saver: Arc::clone(saver),
+            name,
+        })
+    }
+}
+
+/// Implemented for the three records alone: a blanket implementation would reach beyond them.
+macro_rules! saves {
+    ($($record:ty),*) => {$(
+        impl<R: Recipe> Checkpointer<$record> for RecordSaver<R> {
+            fn save(&self, epoch: usize, record: $record) -> std::result::Result<(), CheckpointerError> {
+                if let Err(error) = self.saver.save(epoch, self.name, record) {
+                    self.saver.failure.set(error);
+                }
+                Ok(())
+            }
+
+            /// Earlier epochs are removed when a later one is complete.
+            fn delete(&self, _: usize) -> std::result::Result<(), CheckpointerError> {
+                Ok(())
+            }
+
+            fn restore(&self, epoch: usize) -> std::result::Result<$record, CheckpointerError> {
+                <$record as Checkpoint>::load(self.saver.folder.resume_epoch(epoch).join(self.name))
+            }
+        }
+    )*};
+}
+saves!(ModuleRecord, OptimizerRecord, LrSchedulerRecord);
+
+/// Saves every epoch and notes which is the best.
+pub struct SaveEveryEpoch<R: Recipe>(pub Arc<StageSaver<R>>);
+
+impl<R: Recipe> CheckpointingStrategy for SaveEveryEpoch<R> {
+    fn checkpointing(
+        &mut self,
+        epoch: usize,
+        store: &EventStoreClient,
+    ) -> Vec<CheckpointingAction> {
+        let (name, sign) = self.0.recipe.merit();
+        let score = store.find_metric(name, epoch, Aggregate::Mean, &Split::Valid);
+        self.0.judge(epoch, score.map(|score| sign * score));
+        vec![CheckpointingAction::Save]
+    }
+}
+
+/// Stops after too many epochs without a better result. Unlike burn-train's own it knows the results
+/// from before a resumption.
+pub struct Patience<R: Recipe>(pub Arc<StageSaver<R>>);
+
+impl<R: Recipe> Clone for Patience<R> {
+    fn clone(&self) -> Self {
+        Self(Arc::clone(&self.0))
+    }
+}
+
+impl<R: Recipe> EarlyStoppingStrategy for Patience<R> {
+    fn should_stop(&mut self, epoch: usize, _: &EventStoreClient) -> bool {
+        self.0
+            .steering
+            .epochs_in_vain(epoch as u32, self.0.best())
+            .is_some()
     }
 }
 

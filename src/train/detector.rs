@@ -1,18 +1,21 @@
 //! The detector's recipe.
 
+use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_dataset::Dataset as _;
+use image::RgbImage;
 use rand::RngExt as _;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
 use super::augment::{DetectionAugment, Scene, augmented_letterbox, augmented_mosaic};
 use super::config::{DetectorMerit, DetectorTraining, TrainConfig};
-use super::log::{EpochRow, RunLog};
-use super::optimizer::{freeze, scalar};
-use super::stage::{PassLoss, Recipe, Steering};
+use super::log::EpochRow;
+use super::optimizer::{detector_optimizer, freeze};
+use super::stage::{PassLoss, PreparedStage, Recipe, Steering, device_of};
 use crate::annotate::{Annotation, annotate_pair};
 use crate::dataset::{DetectionItem, DetectionSource, Split, StereoDataset};
 use crate::detector::decode::Anchors;
@@ -23,11 +26,16 @@ use crate::detector::{DetectorHeader, VehicleDetector, Yolo11, Yolo11Config, let
 use crate::error::{Error, Result};
 use crate::evaluate::detection_metrics;
 use crate::geometry::letterbox::Size;
+use crate::metrics::DetectionMetrics;
 use crate::progress::Progress;
 use crate::weights::StateDict;
 
 /// Validation images in TensorBoard, at most.
 const SHOWN: usize = 4;
+/// Validation images that are examined at once.
+const CHECK_BATCH: usize = 16;
+const MAP50: &str = "validation/map50";
+const MAP50_95: &str = "validation/map50_95";
 /// Sides of the input are multiples of it, pixels.
 const LARGEST_STRIDE: u32 = 32;
 /// Layers with weights, by part.
@@ -54,7 +62,7 @@ impl DetectorRecipe {
     ///
     /// # Errors
     /// A dataset without training images.
-    pub fn new(config: &TrainConfig, dataset: &StereoDataset, device: &Device) -> Result<Self> {
+    fn new(config: &TrainConfig, dataset: &StereoDataset, device: &Device) -> Result<Self> {
         let settings = config.detector.clone();
         let rig = *dataset.rig();
         let original = Size::new(rig.left.width, rig.left.height);
@@ -90,11 +98,31 @@ impl DetectorRecipe {
         })
     }
 
+    /// The whole stage, ready to run.
+    ///
+    /// # Errors
+    /// A dataset without training images, or weights that do not fit.
+    pub fn prepared(
+        config: &TrainConfig,
+        dataset: &StereoDataset,
+        device: &Device,
+        progress: &dyn Progress,
+    ) -> Result<PreparedStage<Self>> {
+        let recipe = Self::new(config, dataset, device)?;
+        let settings = &recipe.settings;
+        Ok(PreparedStage {
+            steering: recipe.steering(),
+            network: recipe.model(progress)?,
+            optimizer: detector_optimizer(settings.optimizer, settings.weight_decay)?,
+            recipe: Arc::new(recipe),
+        })
+    }
+
     /// The network to start from: fresh, or the given weights.
     ///
     /// # Errors
     /// Weights that do not fit.
-    pub fn model(&self, progress: &dyn Progress) -> Result<Yolo11> {
+    fn model(&self, progress: &dyn Progress) -> Result<Yolo11> {
         let classes = self.header.classes.len();
         self.device.seed(self.seed);
         let frozen = frozen_layers(&self.settings.freeze)?;
@@ -122,7 +150,7 @@ impl DetectorRecipe {
     }
 
     /// The numbers that steer the stage.
-    pub fn steering(&self) -> Steering {
+    fn steering(&self) -> Steering {
         let settings = &self.settings;
         Steering {
             seed: self.seed,
@@ -226,7 +254,12 @@ fn scene(item: &DetectionItem) -> Scene<'_> {
 impl Recipe for DetectorRecipe {
     type Model = Yolo11;
     type Batch = LetterboxedBatch;
+    type Judge = VehicleDetector;
+    type Findings = DetectionMetrics;
     const STAGE: &'static str = "detector";
+    const TERMS: &'static [&'static str] = &["loss/box", "loss/class", "loss/distribution"];
+    const SCORES: &'static [&'static str] =
+        &["validation/precision", "validation/recall", MAP50, MAP50_95];
 
     fn items(&self) -> usize {
         self.train.len()
@@ -263,46 +296,66 @@ impl Recipe for DetectorRecipe {
         } = batch;
         let [height, width] = [input.height as usize, input.width as usize];
         let planes = TensorData::new(planes, [targets.len(), 3, height, width]);
-        let tensor = Tensor::<4>::from_data(planes, &self.device);
+        // The network's own device: several may share the training.
+        let tensor = Tensor::<4>::from_data(planes, &device_of(model).autodiff());
         let output = model.forward(tensor).flatten();
         let resized = (input != self.input).then(|| Anchors::new(height, width));
         let anchors = resized.as_ref().unwrap_or(&self.anchors);
         let loss = detection_loss(&output, &targets, anchors, LossGains::default())?;
-        let terms = loss.items.iter().map(scalar).collect::<Result<Vec<_>>>()?;
         // The batch size times the terms: summed over passes, as in one large batch.
         Ok(PassLoss {
             total: loss.total,
-            reported: terms.iter().sum(),
-            terms,
+            terms: Tensor::cat(loss.items.to_vec(), 0),
         })
     }
 
-    fn report_terms(&self, terms: &[f64], row: &mut EpochRow) {
-        if let [boxes, classes, distribution] = *terms {
-            row.box_loss = Some(boxes);
-            row.class_loss = Some(classes);
-            row.distribution_loss = Some(distribution);
+    fn checks(&self) -> usize {
+        self.val.len()
+    }
+
+    fn check_batch(&self) -> usize {
+        CHECK_BATCH
+    }
+
+    fn judge(&self, model: &Yolo11) -> Result<VehicleDetector> {
+        let device = device_of(model).without_autodiff();
+        Ok(VehicleDetector::new(model, self.header.clone(), &device))
+    }
+
+    fn examine(&self, judge: &VehicleDetector, items: Range<usize>) -> Result<DetectionMetrics> {
+        detection_metrics(judge, &self.val, items)
+    }
+
+    fn no_findings(&self) -> DetectionMetrics {
+        DetectionMetrics::new(self.header.classes.len())
+    }
+
+    fn merge(findings: &mut DetectionMetrics, more: &DetectionMetrics) {
+        findings.merge(more);
+    }
+
+    fn scores(findings: &DetectionMetrics) -> Option<Vec<f64>> {
+        if findings.is_empty() {
+            return None;
+        }
+        let summary = findings.compute();
+        Some(vec![
+            summary.precision,
+            summary.recall,
+            summary.map50,
+            summary.map50_95,
+        ])
+    }
+
+    fn merit(&self) -> (&'static str, f64) {
+        match self.settings.best_by {
+            DetectorMerit::Map50To95 => (MAP50_95, 1.0),
+            DetectorMerit::Map50 => (MAP50, 1.0),
         }
     }
 
-    fn validate(&self, model: &Yolo11, row: &mut EpochRow) -> Result<Option<f64>> {
-        if self.val.is_empty() {
-            return Ok(None);
-        }
-        let detector = VehicleDetector::new(model, self.header.clone(), &self.device);
-        let summary = detection_metrics(&detector, &self.val)?.compute();
-        row.precision = Some(summary.precision);
-        row.recall = Some(summary.recall);
-        row.map50 = Some(summary.map50);
-        row.map50_95 = Some(summary.map50_95);
-        Ok(Some(match self.settings.best_by {
-            DetectorMerit::Map50To95 => summary.map50_95,
-            DetectorMerit::Map50 => summary.map50,
-        }))
-    }
-
-    fn show(&self, model: &Yolo11, log: &mut RunLog, step: u64) -> Result<()> {
-        let detector = VehicleDetector::new(model, self.header.clone(), &self.device);
+    fn pictures(&self, detector: &VehicleDetector) -> Result<Vec<(String, RgbImage)>> {
+        let mut pictures = Vec::new();
         // Evenly over the data: neighbours show the same scene.
         let stride = self.val.len().div_ceil(SHOWN).max(1);
         for (number, index) in (0..self.val.len()).step_by(stride).enumerate() {
@@ -324,18 +377,15 @@ impl Recipe for DetectorRecipe {
                 text: format!("{:.2}", detection.score),
             });
             let annotations: Vec<Annotation> = truth.chain(found).collect();
-            let picture = annotate_pair(&item.image, &item.image, &annotations);
-            log.add_picture(
-                Self::STAGE,
-                &format!("validation/true_left_found_right_{number}"),
-                step,
-                &picture,
-            );
+            pictures.push((
+                format!("validation/true_left_found_right_{number}"),
+                annotate_pair(&item.image, &item.image, &annotations),
+            ));
         }
-        Ok(())
+        Ok(pictures)
     }
 
-    fn describe(&self, row: &EpochRow) -> String {
+    fn describe(row: &EpochRow) -> String {
         match (row.precision, row.recall, row.map50, row.map50_95) {
             (Some(precision), Some(recall), Some(map50), Some(map)) => format!(
                 ", precision {precision:.3}, recall {recall:.3}, mAP50 {map50:.3}, mAP50-95 {map:.3}"

@@ -1,5 +1,6 @@
 //! The distance network's recipe.
 
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -13,11 +14,11 @@ use rayon::prelude::*;
 use super::augment::mirror_composite;
 use super::config::{DistanceMerit, DistanceTraining, TrainConfig};
 use super::frame_cache::FrameCache;
-use super::log::{EpochRow, RunLog};
+use super::log::EpochRow;
 use super::normalize::normalize_layers;
-use super::optimizer::{freeze, initialize, scalar};
+use super::optimizer::{distance_optimizer, freeze, initialize};
 use super::readout::fit_readout;
-use super::stage::{PassLoss, Recipe, Steering};
+use super::stage::{PassLoss, PreparedStage, Recipe, Steering, device_of};
 use crate::annotate::write_text;
 use crate::dataset::{
     CompositeSize, CompositeStatistics, Frame, Split, StereoDataset, StereoLabel,
@@ -34,6 +35,9 @@ use crate::ranging::{
 
 /// Validation composites in TensorBoard, at most.
 const SHOWN: usize = 8;
+const MAE: &str = "validation/mae_m";
+const RMSE: &str = "validation/rmse_m";
+const MRE: &str = "validation/mre_percent";
 /// Composites on which the first weights are normalised, at most.
 const NORMALIZED: usize = 32;
 
@@ -62,7 +66,7 @@ impl DistanceRecipe {
     ///
     /// # Errors
     /// A dataset without training vehicles, or composites that cannot be written.
-    pub fn new(
+    fn new(
         config: &TrainConfig,
         dataset: &StereoDataset,
         device: &Device,
@@ -129,11 +133,30 @@ impl DistanceRecipe {
         })
     }
 
+    /// The whole stage, ready to run; as [`DistanceRecipe::new`].
+    ///
+    /// # Errors
+    /// Those of [`DistanceRecipe::new`], or weights that do not fit.
+    pub fn prepared(
+        config: &TrainConfig,
+        dataset: &StereoDataset,
+        device: &Device,
+        progress: &dyn Progress,
+    ) -> Result<PreparedStage<Self>> {
+        let recipe = Self::new(config, dataset, device, progress)?;
+        Ok(PreparedStage {
+            steering: recipe.steering(),
+            network: recipe.model(progress)?,
+            optimizer: distance_optimizer(recipe.settings.optimizer),
+            recipe: Arc::new(recipe),
+        })
+    }
+
     /// The network to start from.
     ///
     /// # Errors
     /// A frame that cannot be read, or a device that fails.
-    pub fn model(&self, progress: &dyn Progress) -> Result<RangingNetwork> {
+    fn model(&self, progress: &dyn Progress) -> Result<RangingNetwork> {
         self.device.seed(self.seed);
         let device = self.device.clone().without_autodiff();
         let freeze_named = |network| freeze(network, "distance.freeze", &self.settings.freeze);
@@ -199,7 +222,7 @@ impl DistanceRecipe {
     }
 
     /// The numbers that steer the stage.
-    pub fn steering(&self) -> Steering {
+    fn steering(&self) -> Steering {
         let settings = &self.settings;
         Steering {
             seed: self.seed,
@@ -362,6 +385,13 @@ impl Batch {
         let output = network.forward(self.composites.clone(), self.geometry.clone());
         output * self.distance_per_output.clone()
     }
+
+    /// The network's distances, metres, read back.
+    fn estimate(&self, network: &RangingNetwork) -> Result<Vec<f64>> {
+        self.predict(network)
+            .try_into_vec_as::<f64>()
+            .map_err(|source| Error::training(source.to_string(), "try another device"))
+    }
 }
 
 /// What a [`Batch`] holds before it goes to a device.
@@ -375,7 +405,11 @@ pub struct LoadedComposites {
 impl Recipe for DistanceRecipe {
     type Model = RangingNetwork;
     type Batch = LoadedComposites;
+    type Judge = RangingNetwork;
+    type Findings = DistanceErrors;
     const STAGE: &'static str = "distance";
+    const TERMS: &'static [&'static str] = &["loss/total"];
+    const SCORES: &'static [&'static str] = &[MAE, RMSE, MRE];
 
     fn items(&self) -> usize {
         self.train.len()
@@ -396,49 +430,64 @@ impl Recipe for DistanceRecipe {
         batch: LoadedComposites,
         share: f64,
     ) -> Result<PassLoss> {
-        let batch = self.batch(batch, &self.device);
+        let batch = self.batch(batch, &device_of(model).autodiff());
         let loss = ranging_loss(batch.predict(model), batch.distances_m).total;
-        let reported = scalar(&loss)?;
         Ok(PassLoss {
-            total: loss.mul_scalar(share),
-            reported,
-            terms: Vec::new(),
+            total: loss.clone().mul_scalar(share),
+            terms: loss,
         })
     }
 
-    fn report_terms(&self, _: &[f64], _: &mut EpochRow) {}
-
-    fn validate(&self, model: &RangingNetwork, row: &mut EpochRow) -> Result<Option<f64>> {
-        let device = self.device.clone().without_autodiff();
-        let mut errors = DistanceErrors::new();
-        for vehicles in self.val.chunks(self.settings.micro_batch) {
-            let batch = self.batch(self.composites(vehicles, None)?, &device);
-            let predicted = batch.predict(model);
-            let values = predicted
-                .try_into_vec_as::<f64>()
-                .map_err(|source| Error::training(source.to_string(), "try another device"))?;
-            for (estimated_m, vehicle) in values.into_iter().zip(vehicles) {
-                errors.add(estimated_m, vehicle.label.distance_m);
-            }
-        }
-        let Some(summary) = errors.summary() else {
-            return Ok(None);
-        };
-        row.mae_m = Some(summary.mae_m);
-        row.rmse_m = Some(summary.rmse_m);
-        row.mre_percent = Some(summary.mre_percent);
-        Ok(Some(-match self.settings.best_by {
-            DistanceMerit::Mre => summary.mre_percent,
-            DistanceMerit::Mae => summary.mae_m,
-            DistanceMerit::Rmse => summary.rmse_m,
-        }))
+    fn checks(&self) -> usize {
+        self.val.len()
     }
 
-    fn show(&self, model: &RangingNetwork, log: &mut RunLog, step: u64) -> Result<()> {
+    fn check_batch(&self) -> usize {
+        self.settings.micro_batch
+    }
+
+    fn judge(&self, model: &RangingNetwork) -> Result<RangingNetwork> {
+        Ok(model.clone())
+    }
+
+    fn examine(&self, judge: &RangingNetwork, items: Range<usize>) -> Result<DistanceErrors> {
+        let vehicles = &self.val[items];
+        let device = device_of(judge).without_autodiff();
+        let batch = self.batch(self.composites(vehicles, None)?, &device);
+        let mut errors = DistanceErrors::new();
+        for (estimated_m, vehicle) in batch.estimate(judge)?.into_iter().zip(vehicles) {
+            errors.add(estimated_m, vehicle.label.distance_m);
+        }
+        Ok(errors)
+    }
+
+    fn no_findings(&self) -> DistanceErrors {
+        DistanceErrors::new()
+    }
+
+    fn merge(findings: &mut DistanceErrors, more: &DistanceErrors) {
+        findings.merge(more);
+    }
+
+    fn scores(findings: &DistanceErrors) -> Option<Vec<f64>> {
+        let summary = findings.summary()?;
+        Some(vec![summary.mae_m, summary.rmse_m, summary.mre_percent])
+    }
+
+    fn merit(&self) -> (&'static str, f64) {
+        let name = match self.settings.best_by {
+            DistanceMerit::Mre => MRE,
+            DistanceMerit::Mae => MAE,
+            DistanceMerit::Rmse => RMSE,
+        };
+        (name, -1.0)
+    }
+
+    fn pictures(&self, judge: &RangingNetwork) -> Result<Vec<(String, RgbImage)>> {
         let stride = self.val.len().div_ceil(SHOWN).max(1);
         let some: Vec<Vehicle> = self.val.iter().step_by(stride).cloned().collect();
         if some.is_empty() {
-            return Ok(());
+            return Ok(Vec::new());
         }
         let loaded = self.composites(&some, None)?;
         let CompositeSize { height, width } = self.settings.composite;
@@ -446,12 +495,8 @@ impl Recipe for DistanceRecipe {
         for (column, planes) in (0..).zip(loaded.planes.chunks(3 * (height * width) as usize)) {
             self.draw_composite(planes, column * width, &mut picture);
         }
-        let device = self.device.clone().without_autodiff();
-        let batch = self.batch(loaded, &device);
-        let estimated = batch
-            .predict(model)
-            .try_into_vec_as::<f64>()
-            .map_err(|source| Error::training(source.to_string(), "try another device"))?;
+        let device = device_of(judge).without_autodiff();
+        let estimated = self.batch(loaded, &device).estimate(judge)?;
         for ((column, vehicle), estimated_m) in (0..).zip(&some).zip(estimated) {
             let lines = [
                 format!("is {:.1} m", vehicle.label.distance_m),
@@ -462,11 +507,10 @@ impl Recipe for DistanceRecipe {
                 write_text(&mut picture, corner, &text, 1, Rgb([255, 255, 0]));
             }
         }
-        log.add_picture(Self::STAGE, "validation/composites", step, &picture);
-        Ok(())
+        Ok(vec![("validation/composites".to_owned(), picture)])
     }
 
-    fn describe(&self, row: &EpochRow) -> String {
+    fn describe(row: &EpochRow) -> String {
         match (row.mae_m, row.rmse_m, row.mre_percent) {
             (Some(mae), Some(rmse), Some(mre)) => {
                 format!(", MAE {mae:.2} m, RMSE {rmse:.2} m, MRE {mre:.1} %")

@@ -1,6 +1,7 @@
 //! What a run writes down: `metrics.csv` and TensorBoard events.
 
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
@@ -49,6 +50,28 @@ pub struct EpochRow {
 }
 
 impl EpochRow {
+    /// Sets the number of a tag; a tag that the table does not have is left out.
+    pub fn set(&mut self, tag: &str, value: f64) {
+        let optional = match tag {
+            "loss/total" => return self.loss = value,
+            "train/learning_rate" => return self.learning_rate = value,
+            "train/images_per_second" => return self.images_per_second = value,
+            "loss/box" => &mut self.box_loss,
+            "loss/class" => &mut self.class_loss,
+            "loss/distribution" => &mut self.distribution_loss,
+            "train/gradient_norm" => &mut self.gradient_norm,
+            "validation/precision" => &mut self.precision,
+            "validation/recall" => &mut self.recall,
+            "validation/map50" => &mut self.map50,
+            "validation/map50_95" => &mut self.map50_95,
+            "validation/mae_m" => &mut self.mae_m,
+            "validation/rmse_m" => &mut self.rmse_m,
+            "validation/mre_percent" => &mut self.mre_percent,
+            _ => return,
+        };
+        *optional = Some(value);
+    }
+
     /// The numbers to plot, by tag.
     fn scalars(&self) -> Vec<(&'static str, f64)> {
         let always = [
@@ -73,6 +96,9 @@ impl EpochRow {
             .collect()
     }
 }
+
+/// A run's logs, for the threads of training.
+pub type SharedLog = Arc<Mutex<RunLog>>;
 
 /// The logs of a run folder.
 pub struct RunLog {

@@ -4,16 +4,21 @@ pub mod augment;
 mod checkpoint;
 mod config;
 mod detector;
+mod devices;
 mod distance;
 mod frame_cache;
-mod learner;
+mod loader;
 mod log;
+mod metrics;
 mod normalize;
 pub mod optimizer;
 mod plan;
 mod readout;
+mod reporting;
 mod run;
+mod schedule;
 mod stage;
+mod trainee;
 
 pub use checkpoint::{StageFolder, StageState};
 pub use config::{

@@ -1,5 +1,4 @@
-//! What happens around an optimiser step: averaged weights, clipping by the global norm, learning
-//! rates.
+//! What happens around an optimiser step: averaged weights and clipping by the global norm.
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamGroup};
 use burn::optim::decay::WeightDecayConfig;
@@ -7,7 +6,7 @@ use burn::optim::momentum::MomentumConfig;
 use burn::optim::{AdamConfig, AdamWConfig, GradientsParams, ModuleOptimizer, SgdConfig};
 use burn::tensor::Tensor;
 
-use super::config::{OptimizerKind, Schedule};
+use super::config::OptimizerKind;
 use crate::error::{Error, Result};
 
 /// Adam's guard against division by zero.
@@ -161,65 +160,29 @@ fn parameter_paths<M: Module>(module: &M) -> Vec<String> {
     paths.found
 }
 
-/// Factor of the learning rate after so many epochs (fractions allowed) of `epochs`.
-pub fn schedule_factor(schedule: Schedule, epoch: f64, epochs: f64, last: f64) -> f64 {
-    match schedule {
-        Schedule::Linear => (1.0 - epoch / epochs).max(0.0) * (1.0 - last) + last,
-        Schedule::Cosine => {
-            1.0 + (last - 1.0) * (1.0 - (std::f64::consts::PI * epoch / epochs).cos()) / 2.0
-        }
-    }
-}
-
 /// Decay of the averaged weights at update number `update` (from 1): short at first.
 pub fn ema_decay(longest: f64, ramp: f64, update: u64) -> f64 {
     longest * (1.0 - (-(update as f64) / ramp).exp())
 }
 
-/// An exponential moving average of all floating tensors of a module, running statistics included.
-#[derive(Debug, Clone)]
-pub struct AveragedWeights {
-    values: Vec<Tensor<1>>,
-    /// Updates so far.
-    pub updates: u64,
-    longest: f64,
-    ramp: f64,
+/// One update of an exponential moving average.
+pub fn average_into(average: Tensor<1>, value: Tensor<1>, decay: f64) -> Tensor<1> {
+    // In this form the average of what never changes stays what it is, to the bit.
+    average.clone() + (value - average).mul_scalar(1.0 - decay)
 }
 
-impl AveragedWeights {
-    /// Starts at the module's present weights.
-    pub fn new<M: Module>(module: &M, longest: f64, ramp: f64) -> Self {
-        Self {
-            values: flat_values(module),
-            updates: 0,
-            longest,
-            ramp,
-        }
-    }
-
-    /// Moves the average towards the module's present weights.
-    pub fn update<M: Module>(&mut self, module: &M) {
-        self.updates += 1;
-        let decay = ema_decay(self.longest, self.ramp, self.updates);
-        for (average, value) in self.values.iter_mut().zip(flat_values(module)) {
-            // In this form the average of what never changes stays what it is, to the bit.
-            *average = average.clone() + (value - average.clone()).mul_scalar(1.0 - decay);
-        }
-    }
-
-    /// A copy of the module, for inference, with the averaged weights.
-    pub fn module<M: Module>(&self, module: &M) -> M {
-        struct Fill<'a>(std::slice::Iter<'a, Tensor<1>>);
-        impl ModuleMapper for Fill<'_> {
-            fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-                match self.0.next() {
-                    Some(value) => param.map(|tensor| value.clone().reshape(tensor.dims())),
-                    None => param,
-                }
+/// A module with other floating tensors, running statistics included: those of [`flat_values`].
+pub fn with_values<M: Module>(module: M, values: &[Tensor<1>]) -> M {
+    struct Fill<'a>(std::slice::Iter<'a, Tensor<1>>);
+    impl ModuleMapper for Fill<'_> {
+        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+            match self.0.next() {
+                Some(value) => param.map(|tensor| value.clone().reshape(tensor.dims())),
+                None => param,
             }
         }
-        module.valid().map(&mut Fill(self.values.iter()))
     }
+    module.map(&mut Fill(values.iter()))
 }
 
 /// The weights of a module by their paths, biases and normalisation left out.
@@ -240,7 +203,7 @@ pub fn named_weights<M: Module>(module: &M) -> Result<Vec<(String, Vec<f32>)>> {
 }
 
 /// Every floating tensor, flattened and free of autodiff, in the order of traversal.
-fn flat_values<M: Module>(module: &M) -> Vec<Tensor<1>> {
+pub fn flat_values<M: Module>(module: &M) -> Vec<Tensor<1>> {
     struct Collect(Vec<Tensor<1>>);
     impl ModuleVisitor for Collect {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
@@ -330,14 +293,6 @@ mod tests {
     use burn::tensor::Device;
 
     #[test]
-    fn both_schedules_start_at_one_and_end_at_the_last_rate() {
-        for schedule in [Schedule::Linear, Schedule::Cosine] {
-            assert!((schedule_factor(schedule, 0.0, 30.0, 0.01) - 1.0).abs() < 1e-12);
-            assert!((schedule_factor(schedule, 30.0, 30.0, 0.01) - 0.01).abs() < 1e-12);
-        }
-    }
-
-    #[test]
     fn clipping_brings_the_global_norm_to_the_limit_and_leaves_short_gradients_alone() {
         let device = Device::flex().autodiff();
         let layer = DenseConfig::new(3, 2).init(&device);
@@ -358,9 +313,12 @@ mod tests {
     fn averaged_weights_of_a_still_module_are_the_module() {
         let device = Device::flex();
         let layer = DenseConfig::new(3, 2).init(&device);
-        let mut average = AveragedWeights::new(&layer, 0.9, 10.0);
-        average.update(&layer);
-        let difference = (average.module(&layer).weight.val() - layer.weight.val())
+        let values = flat_values(&layer);
+        let averages: Vec<_> = values
+            .iter()
+            .map(|value| average_into(value.clone(), value.clone(), 0.9))
+            .collect();
+        let difference = (with_values(layer.clone(), &averages).weight.val() - layer.weight.val())
             .abs()
             .max();
         assert!(difference.into_scalar::<f32>() < 1e-6);

@@ -3,18 +3,26 @@
 use std::fmt;
 use std::fs;
 
-use burn::module::Module;
-use burn::optim::ModuleOptimizer;
+use std::sync::Arc;
+use std::time::Instant;
+
+use burn::module::Module as _;
+use burn::optim::GradientsAccumulator;
+use burn::train::{ItemLazy as _, Learner};
 use serde::Serialize;
 
 use super::detector::DetectorRecipe;
 use super::distance::DistanceRecipe;
-use super::learner::Learner;
-use super::optimizer::{detector_optimizer, distance_optimizer};
+use super::loader::{Pass, steps_per_epoch};
 use super::run::{Stage, TrainRequest, open_dataset};
-use super::stage::{Recipe, Steering};
-use crate::error::Result;
+use super::schedule::RiseAndFall;
+use super::stage::{PreparedStage, Recipe};
+use super::trainee::{Failure, Trainee, TraineeOf};
+use crate::error::{Error, Result};
 use crate::progress::Progress;
+
+/// Steps that are measured; the fastest counts.
+const ROUNDS: usize = 3;
 
 /// What training one network would take.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -58,46 +66,97 @@ pub struct TrainPlan {
 /// # Errors
 /// Whatever would stop the training at its start.
 pub fn plan(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainPlan> {
-    let (dataset, device) = open_dataset(request, progress)?;
+    let (dataset, devices) = open_dataset(request, progress)?;
+    let device = devices.main();
     let mut stages = Vec::new();
     if request.stage != Stage::Distance {
-        let recipe = DetectorRecipe::new(request.config, &dataset, &device)?;
-        let settings = &request.config.detector;
-        let optimizer = detector_optimizer(settings.optimizer, settings.weight_decay)?;
-        let model = recipe.model(progress)?;
-        stages.push(measure(&recipe, &recipe.steering(), model, optimizer)?);
+        let stage = DetectorRecipe::prepared(request.config, &dataset, device, progress)?;
+        stages.push(measure(stage, devices.len())?);
     }
     if request.stage != Stage::Detector {
-        let recipe = DistanceRecipe::new(request.config, &dataset, &device, progress)?;
-        let optimizer = distance_optimizer(request.config.distance.optimizer);
-        let model = recipe.model(progress)?;
-        stages.push(measure(&recipe, &recipe.steering(), model, optimizer)?);
+        let stage = DistanceRecipe::prepared(request.config, &dataset, device, progress)?;
+        stages.push(measure(stage, devices.len())?);
     }
     Ok(TrainPlan { stages })
 }
 
-fn measure<R: Recipe>(
-    recipe: &R,
-    steering: &Steering,
-    model: R::Model,
-    optimizer: ModuleOptimizer,
-) -> Result<StagePlan> {
+/// Measures a few steps on the first device; several devices share a step's items.
+fn measure<R: Recipe>(stage: PreparedStage<R>, devices: usize) -> Result<StagePlan> {
     forget_peak();
-    let parameters = model.num_params();
-    let mut learner = Learner::new(model, optimizer, steering);
-    let [step_seconds, load_seconds] = learner.time_step(recipe, steering)?;
+    let PreparedStage {
+        recipe,
+        steering,
+        network,
+        optimizer,
+    } = stage;
+    let parameters = network.num_params();
     let items = recipe.items();
-    let steps = u64::from(steering.epochs) * items.div_ceil(steering.batch) as u64;
+    let steps_per_epoch = steps_per_epoch(items, steering.batch, devices);
+    let failure = Failure::default();
+    let trainee = Trainee::new(Arc::clone(&recipe), &steering, network, 0, failure.clone());
+    let schedule = RiseAndFall::new(steering.clone(), steps_per_epoch);
+    let mut learner = Learner::new(trainee, optimizer, schedule);
+    let batch = (steering.batch / devices).min(items).max(1);
+    let mut least = [f64::INFINITY; 2];
+    for _ in 0..ROUNDS {
+        let [stepping, loading] = time_step(&mut learner, &*recipe, batch, steering.micro_batch)?;
+        if let Some(error) = failure.take() {
+            return Err(error);
+        }
+        least = [least[0].min(stepping), least[1].min(loading)];
+    }
+    let [step_seconds, load_seconds] = least;
     Ok(StagePlan {
         stage: R::STAGE.to_owned(),
         parameters,
         items,
         epochs: steering.epochs,
-        steps,
+        steps: u64::from(steering.epochs) * steps_per_epoch,
         step_seconds,
         load_seconds,
         peak_mib: peak_mib(),
     })
+}
+
+/// Seconds of a step with data that is loaded beforehand, and of loading its data.
+fn time_step<R: Recipe>(
+    learner: &mut Learner<TraineeOf<R>>,
+    recipe: &R,
+    batch: usize,
+    micro_batch: usize,
+) -> Result<[f64; 2]> {
+    let started = Instant::now();
+    let items: Vec<usize> = (0..batch).collect();
+    let mut passes = Vec::new();
+    for items in items.chunks(micro_batch) {
+        passes.push(Pass {
+            batch: recipe.load(0, items)?,
+            items: items.to_vec(),
+            share: items.len() as f64 / batch as f64,
+            epoch: 0,
+            epoch_started: started,
+        });
+    }
+    let loading = started.elapsed().as_secs_f64();
+    let started = Instant::now();
+    let mut accumulator = GradientsAccumulator::new();
+    for pass in passes {
+        let output = learner.train_step(pass);
+        accumulator.accumulate(&learner.model(), output.grads);
+        let report = output.item.sync().map_err(|source| {
+            Error::training(source.to_string(), "try a smaller batch or another device")
+        })?;
+        let loss: f64 = report.terms.iter().sum();
+        if !loss.is_finite() {
+            return Err(Error::training(
+                format!("the first loss is {loss}"),
+                "start from other weights",
+            ));
+        }
+    }
+    learner.lr_step();
+    learner.optimizer_step(accumulator.grads());
+    Ok([started.elapsed().as_secs_f64(), loading])
 }
 
 /// Lets the system count the peak anew, where it can (Linux).

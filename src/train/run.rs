@@ -2,16 +2,16 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
-use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 
 use super::config::TrainConfig;
 use super::detector::DetectorRecipe;
+use super::devices::DeviceSet;
 use super::distance::DistanceRecipe;
 use super::log::RunLog;
-use super::optimizer::{detector_optimizer, distance_optimizer};
-use super::stage::{Recipe, StagePlace, StageResult, run_stage};
+use super::stage::{PreparedStage, Recipe, StagePlace, StageResult, run_stage};
 use crate::dataset::{Split, StereoDataset};
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
@@ -45,8 +45,8 @@ pub struct TrainRequest<'a> {
     pub stage: Stage,
     /// Go on from where a stopped run was.
     pub resume: bool,
-    /// Where to compute.
-    pub device: DeviceName,
+    /// Where to compute: one device, or several that share every batch.
+    pub devices: &'a [DeviceName],
 }
 
 /// What a run came to.
@@ -72,7 +72,7 @@ pub struct TrainSummary {
 /// # Errors
 /// [`Error::Interrupted`] on the user's wish; otherwise whatever stops it.
 pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSummary> {
-    let (dataset, device) = open_dataset(request, progress)?;
+    let (dataset, devices) = open_dataset(request, progress)?;
     files::create_folder(request.run)?;
     let fingerprint = dataset.fingerprint()?;
     if request.resume {
@@ -80,7 +80,7 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
         refuse_changed_data(request, &fingerprint)?;
     }
     write_config(request, &dataset, &fingerprint)?;
-    let mut log = RunLog::open(request.run)?;
+    let log = Arc::new(Mutex::new(RunLog::open(request.run)?));
     let mut summary = TrainSummary {
         run: request.run.to_path_buf(),
         data: request.data.to_path_buf(),
@@ -88,50 +88,27 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
         distance_seconds: None,
         evaluation: None,
     };
+    let place = || StagePlace {
+        run: request.run,
+        resume: request.resume,
+        devices: &devices,
+        log: Arc::clone(&log),
+        progress,
+    };
+    let device = devices.main();
     if request.stage != Stage::Distance {
-        let recipe = DetectorRecipe::new(request.config, &dataset, &device)?;
-        announce(&recipe, progress);
-        let result = run_stage(
-            &recipe,
-            &recipe.steering(),
-            recipe.model(progress)?,
-            detector_optimizer(
-                request.config.detector.optimizer,
-                request.config.detector.weight_decay,
-            )?,
-            StagePlace {
-                run: request.run,
-                resume: request.resume,
-                log: &mut log,
-                progress,
-            },
-        )?;
-        summary.detector_seconds = Some(result.seconds);
-        announce_best::<DetectorRecipe>(&result, progress);
+        let stage = DetectorRecipe::prepared(request.config, &dataset, device, progress)?;
+        summary.detector_seconds = Some(run_announced(stage, place())?.seconds);
     }
     if request.stage != Stage::Detector {
-        let recipe = DistanceRecipe::new(request.config, &dataset, &device, progress)?;
-        announce(&recipe, progress);
-        let result = run_stage(
-            &recipe,
-            &recipe.steering(),
-            recipe.model(progress)?,
-            distance_optimizer(request.config.distance.optimizer),
-            StagePlace {
-                run: request.run,
-                resume: request.resume,
-                log: &mut log,
-                progress,
-            },
-        )?;
-        summary.distance_seconds = Some(result.seconds);
-        announce_best::<DistanceRecipe>(&result, progress);
+        let stage = DistanceRecipe::prepared(request.config, &dataset, device, progress)?;
+        summary.distance_seconds = Some(run_announced(stage, place())?.seconds);
     }
     let complete = ["detector", "distance"]
         .iter()
         .all(|stage| super::StageFolder::new(request.run, stage).best().exists());
     if complete && !dataset.split(Split::Val).is_empty() {
-        let ranger = StereoRanger::load(request.run, &device)?;
+        let ranger = StereoRanger::load(request.run, device)?;
         let evaluation = evaluate_dataset(&ranger, request.run, &dataset, Split::Val, progress)?;
         summary.evaluation = Some(evaluation);
     }
@@ -144,9 +121,10 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
 pub(super) fn open_dataset(
     request: &TrainRequest,
     progress: &dyn Progress,
-) -> Result<(StereoDataset, Device)> {
-    let device = request.device.open()?;
+) -> Result<(StereoDataset, DeviceSet)> {
+    let devices = DeviceSet::open(request.devices)?;
     request.config.validate()?;
+    refuse_uneven(request.config, devices.len())?;
     let mut dataset = StereoDataset::open(request.data)?;
     if let Some(split) = request.config.split {
         dataset.resplit(split, request.config.seed)?;
@@ -156,7 +134,37 @@ pub(super) fn open_dataset(
     for problem in &dataset.problems {
         progress.note(&format!("left out: {problem}"));
     }
-    Ok((dataset, device))
+    Ok((dataset, devices))
+}
+
+/// Refuses batches that several devices cannot share evenly.
+fn refuse_uneven(config: &TrainConfig, devices: usize) -> Result<()> {
+    let stages = [
+        (
+            "detector",
+            config.detector.batch,
+            config.detector.micro_batch,
+        ),
+        (
+            "distance",
+            config.distance.batch,
+            config.distance.micro_batch,
+        ),
+    ];
+    for (stage, batch, micro_batch) in stages {
+        let each = batch / devices;
+        if !batch.is_multiple_of(devices) || !each.is_multiple_of(micro_batch.min(each)) {
+            return Err(Error::value(
+                format!("{stage}.batch = {batch}, {stage}.micro_batch = {micro_batch}"),
+                format!("cannot be shared evenly by {devices} devices"),
+                format!(
+                    "give a batch that {devices} divides, and a micro_batch that divides the \
+                     devices' shares"
+                ),
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// Refuses, before hours of training, a dataset without the labels that a stage learns from.
@@ -181,17 +189,19 @@ fn refuse_unlearnable(request: &TrainRequest, dataset: &StereoDataset) -> Result
     Ok(())
 }
 
-fn announce<R: Recipe>(recipe: &R, progress: &dyn Progress) {
-    progress.note(&format!("{}: {} training images", R::STAGE, recipe.items()));
-}
-
-fn announce_best<R: Recipe>(result: &StageResult, progress: &dyn Progress) {
+/// Runs a stage and says what on, and what came of it.
+fn run_announced<R: Recipe>(stage: PreparedStage<R>, place: StagePlace) -> Result<StageResult> {
+    let progress = place.progress;
+    let items = stage.recipe.items();
+    progress.note(&format!("{}: {items} training images", R::STAGE));
+    let result = run_stage(stage, &place)?;
     if let Some((_, epoch)) = result.best {
         progress.note(&format!(
             "{}: best weights are those of epoch {epoch}",
             R::STAGE
         ));
     }
+    Ok(result)
 }
 
 /// The settings that a run folder was last trained with, if it has any.
@@ -277,7 +287,7 @@ fn write_config(request: &TrainRequest, dataset: &StereoDataset, fingerprint: &s
         "version": env!("CARGO_PKG_VERSION"),
         "config": request.config,
         "stage": request.stage,
-        "device": request.device.to_string(),
+        "device": request.devices.iter().map(ToString::to_string).collect::<Vec<_>>().join(","),
         "data": request.data,
         "environment": {
             "commit": option_env!("TWINSIGHT_COMMIT"),

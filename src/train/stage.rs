@@ -1,26 +1,36 @@
-//! The training loop, one for both networks: epochs, steps, accumulation, validation, saving.
+//! A stage of training on burn-train: what differs between the networks, and how a stage is launched,
+//! watched, interrupted and resumed.
 
+use std::ops::Range;
 use std::path::Path;
-use std::sync::mpsc::{Receiver, sync_channel};
-use std::thread::Scope;
-use std::time::Instant;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::{Arc, PoisonError};
+use std::time::{Duration, Instant};
 
-use burn::module::Module;
+use burn::module::{Module, ModuleDisplay, ModuleVisitor, Param};
 use burn::optim::ModuleOptimizer;
-use burn::tensor::Tensor;
-use burn_dataset::transform::ShuffledDataset;
-use burn_dataset::{Dataset, InMemDataset};
+use burn::tensor::{Device, Tensor};
+use burn::train::{Learner, SupervisedTraining};
+use image::RgbImage;
 
-use super::checkpoint::{StageFolder, StageState};
+use super::checkpoint::{
+    Patience, RecordSaver, SaveEveryEpoch, StageFolder, StageSaver, StageState,
+};
 use super::config::Schedule;
-use super::learner::{Learner, StepError, StepOutcome};
-use super::log::{EpochRow, RunLog};
-use super::optimizer::{named_weights, schedule_factor};
+use super::devices::DeviceSet;
+use super::loader::{CheckLoader, PassLoader, steps_per_epoch};
+use super::log::{EpochRow, SharedLog};
+use super::metrics::{Showcase, TrainingMetric, ValidationMetric};
+use super::reporting::{MetricsLog, ProgressRenderer, Report};
+use super::schedule::RiseAndFall;
+use super::trainee::{Failure, Trainee, TraineeOf};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 
-/// Passes that wait for their step, at most.
-const LOADED_AHEAD: usize = 1;
+/// How often the caller looks whether the user wants to stop.
+const POLL: Duration = Duration::from_millis(50);
+/// Stack of the training thread: as large as a main thread's.
+const STACK_BYTES: usize = 8 << 20;
 
 /// The numbers that steer a stage.
 #[derive(Debug, Clone)]
@@ -56,10 +66,30 @@ pub struct Steering {
 }
 
 impl Steering {
-    /// Epochs without a better result, when they are too many.
-    fn epochs_in_vain(&self, state: &StageState) -> Option<u32> {
-        let (_, best) = state.best?;
-        let epochs = state.epoch.saturating_sub(best);
+    /// Two epochs' rise and eight epochs' fall, for tests.
+    #[cfg(test)]
+    pub fn example() -> Self {
+        Self {
+            seed: 1,
+            epochs: 10,
+            batch: 4,
+            micro_batch: 2,
+            learning_rate: 0.01,
+            final_learning_rate: 0.1,
+            schedule: Schedule::Cosine,
+            warmup_epochs: 2.0,
+            clip_norm: None,
+            average: None,
+            validate_every: 2,
+            patience: 0,
+            keep_last: 0,
+            settings: String::new(),
+        }
+    }
+
+    /// Epochs without a better result after so many epochs, when they are too many.
+    pub fn epochs_in_vain(&self, epoch: u32, best: Option<(f64, u32)>) -> Option<u32> {
+        let epochs = epoch.saturating_sub(best?.1);
         (self.patience > 0 && epochs >= self.patience).then_some(epochs)
     }
 }
@@ -68,22 +98,32 @@ impl Steering {
 pub struct PassLoss {
     /// What to differentiate, `[1]`.
     pub total: Tensor<1>,
-    /// The loss to report, per item.
-    pub reported: f64,
-    /// Further terms to report, in the recipe's order.
-    pub terms: Vec<f64>,
+    /// The loss's terms per item, `[terms]`, to report; their sum is the loss.
+    pub terms: Tensor<1>,
 }
 
 /// What differs between the networks.
-pub trait Recipe: Sync {
+pub trait Recipe: Send + Sync + 'static {
     /// The network.
-    type Model: Module;
+    type Model: Module + ModuleDisplay + 'static;
 
     /// Loaded and augmented items, ready for a forward pass.
-    type Batch: Send;
+    type Batch: Send + 'static;
+
+    /// What examines validation items: the network as users run it.
+    type Judge: Send + Sync + 'static;
+
+    /// What it found on some items.
+    type Findings: Clone + Send + Sync + 'static;
 
     /// Folder and log name of the stage.
     const STAGE: &'static str;
+
+    /// Tags of the loss's terms.
+    const TERMS: &'static [&'static str];
+
+    /// Tags of the validation's numbers.
+    const SCORES: &'static [&'static str];
 
     /// Number of training items.
     fn items(&self) -> usize;
@@ -98,35 +138,84 @@ pub trait Recipe: Sync {
     /// An item that cannot be loaded.
     fn load(&self, epoch: u32, items: &[usize]) -> Result<Self::Batch>;
 
-    /// The loss of loaded items; `share` is their part of the optimiser step.
+    /// The loss of loaded items on the network's device; `share` is their part of the optimiser
+    /// step.
     ///
     /// # Errors
     /// A device that fails.
     fn loss(&self, model: &Self::Model, batch: Self::Batch, share: f64) -> Result<PassLoss>;
 
-    /// Writes a finished epoch's loss terms into its row.
-    fn report_terms(&self, terms: &[f64], row: &mut EpochRow);
+    /// Number of validation items.
+    fn checks(&self) -> usize;
 
-    /// Validates an inference copy of the model; the larger the result the better.
+    /// Validation items that are examined at once.
+    fn check_batch(&self) -> usize;
+
+    /// Takes an inference copy of the network into service.
+    ///
+    /// # Errors
+    /// A device that fails.
+    fn judge(&self, model: &Self::Model) -> Result<Self::Judge>;
+
+    /// Examines validation items.
     ///
     /// # Errors
     /// An item that cannot be loaded, or a device that fails.
-    fn validate(&self, model: &Self::Model, row: &mut EpochRow) -> Result<Option<f64>>;
+    fn examine(&self, judge: &Self::Judge, items: Range<usize>) -> Result<Self::Findings>;
 
-    /// Pictures of what an inference copy of the model makes of some validation items.
+    /// What was found on no items.
+    fn no_findings(&self) -> Self::Findings;
+
+    /// Adds what was found on more items.
+    fn merge(findings: &mut Self::Findings, more: &Self::Findings);
+
+    /// The numbers of [`Recipe::SCORES`]; none where nothing was examined.
+    fn scores(findings: &Self::Findings) -> Option<Vec<f64>>;
+
+    /// The score that tells the best epoch, and 1 if larger is better, -1 if smaller is.
+    fn merit(&self) -> (&'static str, f64);
+
+    /// Pictures, by tag, of what a judge makes of some validation items.
     ///
     /// # Errors
     /// An item that cannot be loaded, or a device that fails.
-    fn show(&self, model: &Self::Model, log: &mut RunLog, step: u64) -> Result<()>;
+    fn pictures(&self, judge: &Self::Judge) -> Result<Vec<(String, RgbImage)>>;
 
-    /// The validation result of a row in a few words.
-    fn describe(&self, row: &EpochRow) -> String;
+    /// The validation result of a row in a few words; empty without validation.
+    fn describe(row: &EpochRow) -> String;
 
     /// Saves an inference copy of the model for users.
     ///
     /// # Errors
     /// A file that cannot be written.
     fn save(&self, model: &Self::Model, path: &Path) -> Result<()>;
+}
+
+/// The device that a module's weights are on, with gradients if it has them.
+pub fn device_of<M: Module>(module: &M) -> Device {
+    struct First(Option<Device>);
+    impl ModuleVisitor for First {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if self.0.is_none() {
+                self.0 = Some(param.lazy_device());
+            }
+        }
+    }
+    let mut first = First(None);
+    module.visit(&mut first);
+    first.0.unwrap_or_default()
+}
+
+/// A stage before it runs.
+pub struct PreparedStage<R: Recipe> {
+    /// What is trained, on what.
+    pub recipe: Arc<R>,
+    /// How.
+    pub steering: Steering,
+    /// The network to start from.
+    pub network: R::Model,
+    /// What turns its gradients into steps.
+    pub optimizer: ModuleOptimizer,
 }
 
 /// What a finished stage reports.
@@ -144,8 +233,10 @@ pub struct StagePlace<'a> {
     pub run: &'a Path,
     /// Go on from where a stopped run was.
     pub resume: bool,
+    /// Devices that share the training; the first one validates.
+    pub devices: &'a DeviceSet,
     /// The run's logs.
-    pub log: &'a mut RunLog,
+    pub log: SharedLog,
     /// Who listens.
     pub progress: &'a dyn Progress,
 }
@@ -155,29 +246,16 @@ pub struct StagePlace<'a> {
 /// # Errors
 /// Whatever stops it: [`Error::Interrupted`] on the user's wish (the state of the last finished
 /// epoch is saved), a loss that is no longer finite, a file or device that fails.
-pub fn run_stage<R: Recipe>(
-    recipe: &R,
-    steering: &Steering,
-    model: R::Model,
-    optimizer: ModuleOptimizer,
-    place: StagePlace,
-) -> Result<StageResult> {
-    let StagePlace {
-        run,
-        resume,
-        log,
-        progress,
-    } = place;
+pub fn run_stage<R: Recipe>(prepared: PreparedStage<R>, place: &StagePlace) -> Result<StageResult> {
+    let steering = prepared.steering.clone();
     let started = Instant::now();
-    let folder = StageFolder::new(run, R::STAGE);
+    let progress = place.progress;
+    let folder = StageFolder::new(place.run, R::STAGE);
     folder.create()?;
-    let mut learner = Learner::new(model, optimizer, steering);
-    let mut state = StageState {
-        settings: steering.settings.clone(),
-        ..StageState::default()
-    };
-    if resume && let Some(saved) = folder.state(&steering.settings)? {
-        learner = learner.restored(&folder, steering, &saved)?;
+    let mut state = StageState::default();
+    if !place.resume {
+        folder.forget()?;
+    } else if let Some(saved) = folder.state(&steering.settings)? {
         state = saved;
         progress.note(&format!(
             "{}: resuming after epoch {}",
@@ -185,260 +263,226 @@ pub fn run_stage<R: Recipe>(
             state.epoch
         ));
     }
+    let mut log = place.log.lock().unwrap_or_else(PoisonError::into_inner);
     log.rewind(R::STAGE, state.epoch);
+    drop(log);
 
-    let items = recipe.items();
-    let steps_per_epoch = items.div_ceil(steering.batch) as u64;
-    let remaining = u64::from(steering.epochs.saturating_sub(state.epoch)) * steps_per_epoch;
-    progress.begin(R::STAGE, remaining);
-    let mut trainer = Trainer {
-        recipe,
-        steering,
-        steps_per_epoch,
-        log,
-        progress,
+    let finished = state.epoch;
+    let in_vain = steering.epochs_in_vain(finished, state.best).is_some();
+    let best = if finished < steering.epochs && !in_vain {
+        Launch::new(prepared, &state, place).run(place)?
+    } else {
+        state.best
     };
-    while state.epoch < steering.epochs {
-        if let Some(epochs) = steering.epochs_in_vain(&state) {
-            progress.note(&format!(
-                "{}: stopped after epoch {}, {epochs} epochs without a better result",
-                R::STAGE,
-                state.epoch
-            ));
-            break;
-        }
-        let epoch = state.epoch;
-        let mut row = trainer.epoch(&mut learner, &mut state)?;
-        state.epoch = epoch + 1;
-        let usable = learner.usable();
-        if state.epoch.is_multiple_of(steering.validate_every) || state.epoch == steering.epochs {
-            progress.status("validating");
-            let result = recipe.validate(&usable, &mut row)?;
-            let improves = match (result, state.best) {
-                (Some(result), Some((best, _))) => result > best,
-                (Some(_), None) => true,
-                (None, _) => state.epoch == steering.epochs && state.best.is_none(),
-            };
-            if improves {
-                recipe.save(&usable, &folder.best())?;
-                state.best = result.map(|result| (result, state.epoch));
-            }
-            progress.note(&format!(
-                "{} epoch {}/{}: loss {:.3}{}",
-                R::STAGE,
-                state.epoch,
-                steering.epochs,
-                row.loss,
-                recipe.describe(&row)
-            ));
-            recipe.show(&usable, trainer.log, state.step)?;
-            for (path, values) in named_weights(&usable)? {
-                let tag = format!("weights/{path}");
-                trainer
-                    .log
-                    .add_histogram(R::STAGE, &tag, state.step, &values);
-            }
-        }
-        trainer.log.add(row)?;
-        recipe.save(&usable, &folder.last())?;
-        if steering.keep_last > 0 {
-            recipe.save(&usable, &folder.of_epoch(state.epoch))?;
-            folder.drop_epochs_before((state.epoch + 1).saturating_sub(steering.keep_last))?;
-        }
-        state.ema_updates = learner
-            .average
-            .as_ref()
-            .map_or(0, |average| average.updates);
-        let shadow = learner.average.is_some().then_some(usable);
-        folder.save(&state, &learner.model, shadow, &learner.optimizer)?;
+    if let Some(epochs) = best.and_then(|_| stopped_in_vain(&folder, &steering)) {
+        progress.note(&format!(
+            "{}: stopped early, {epochs} epochs without a better result",
+            R::STAGE
+        ));
     }
-    progress.end();
     Ok(StageResult {
-        best: state.best,
+        best,
         seconds: started.elapsed().as_secs_f64(),
     })
 }
 
-/// The parts of a stage that do not change from epoch to epoch.
-struct Trainer<'a, R: Recipe> {
-    recipe: &'a R,
-    steering: &'a Steering,
+/// Epochs without a better result that ended a stage early, if they did.
+fn stopped_in_vain(folder: &StageFolder, steering: &Steering) -> Option<u32> {
+    let state = folder.state(&steering.settings).ok()??;
+    if state.epoch >= steering.epochs {
+        return None;
+    }
+    steering.epochs_in_vain(state.epoch, state.best)
+}
+
+/// A stage made ready.
+struct Launch<R: Recipe> {
+    recipe: Arc<R>,
+    steering: Steering,
+    trainee: TraineeOf<R>,
+    optimizer: ModuleOptimizer,
+    saver: Arc<StageSaver<R>>,
+    failure: Failure,
+    finished: u32,
+    step: u64,
     steps_per_epoch: u64,
-    log: &'a mut RunLog,
-    progress: &'a dyn Progress,
 }
 
-impl<'a, R: Recipe> Trainer<'a, R> {
-    /// One pass over the data.
-    fn epoch(
-        &mut self,
-        learner: &mut Learner<R::Model>,
-        state: &mut StageState,
-    ) -> Result<EpochRow> {
-        let steering = self.steering;
-        let started = Instant::now();
-        let order = shuffled(self.recipe.items(), steering.seed, state.epoch);
-        let mut sums = EpochSums::default();
-        std::thread::scope(|scope| {
-            let batches = self.loader(scope, &order, state.epoch);
-            self.steps(&order, &batches, learner, state, &mut sums)
-        })?;
-        let mut row = EpochRow {
-            stage: R::STAGE.to_owned(),
-            epoch: state.epoch + 1,
+impl<R: Recipe> Launch<R> {
+    fn new(prepared: PreparedStage<R>, state: &StageState, place: &StagePlace) -> Self {
+        let PreparedStage {
+            recipe,
+            steering,
+            network,
+            optimizer,
+        } = prepared;
+        let devices = place.devices.len();
+        let steps_per_epoch = steps_per_epoch(recipe.items(), steering.batch, devices);
+        let failure = Failure::default();
+        let trainee = Trainee::new(
+            Arc::clone(&recipe),
+            &steering,
+            network,
+            state.step,
+            failure.clone(),
+        );
+        let saver = StageSaver::new(
+            StageFolder::new(place.run, R::STAGE),
+            steering.clone(),
+            steps_per_epoch,
+            &trainee,
+            state,
+        );
+        Self {
+            recipe,
+            steering,
+            trainee,
+            optimizer,
+            saver: Arc::new(saver),
+            failure,
+            finished: state.epoch,
             step: state.step,
-            learning_rate: sums.learning_rate,
-            loss: sums.loss / sums.items.max(1) as f64,
-            gradient_norm: Some(sums.gradient_norm / sums.steps.max(1) as f64),
-            images_per_second: sums.items as f64 / started.elapsed().as_secs_f64(),
-            ..EpochRow::default()
+            steps_per_epoch,
+        }
+    }
+
+    /// Runs burn-train's loop on a thread of its own and tells the caller how it goes.
+    fn run(self, place: &StagePlace) -> Result<Option<(f64, u32)>> {
+        let (failure, saver) = (self.failure.clone(), Arc::clone(&self.saver));
+        let (epochs, step, finished) = (self.steering.epochs, self.step, self.finished);
+        let steps = u64::from(epochs - finished) * self.steps_per_epoch;
+        let (reports, incoming) = channel();
+        let log = Arc::clone(&place.log);
+        let devices = place.devices.clone();
+        let training = std::thread::Builder::new()
+            .name(R::STAGE.to_owned())
+            .stack_size(STACK_BYTES)
+            .spawn(move || {
+                let renderer = ProgressRenderer::new(reports.clone());
+                let metrics = MetricsLog::new(
+                    R::STAGE,
+                    epochs,
+                    R::describe,
+                    Arc::clone(&log),
+                    reports,
+                    self.failure.clone(),
+                    step,
+                );
+                self.launch(&devices, renderer, metrics, log)
+            })
+            .map_err(Error::io("start", "the training thread"))?;
+        place.progress.begin(R::STAGE, steps);
+        let interrupted = relay(&incoming, epochs, &failure, place.progress);
+        place.progress.end();
+        let problem = match training.join() {
+            Ok(problem) => problem,
+            Err(panic) => Some(panic_text(panic.as_ref())),
         };
-        let terms: Vec<f64> = sums
-            .terms
-            .iter()
-            .map(|sum| sum / sums.items.max(1) as f64)
-            .collect();
-        self.recipe.report_terms(&terms, &mut row);
-        Ok(row)
-    }
-
-    /// Starts a thread that loads the passes of an epoch in order, a little ahead of the steps. It
-    /// ends when the receiver is dropped.
-    fn loader<'scope>(
-        &self,
-        scope: &'scope Scope<'scope, '_>,
-        order: &'scope [usize],
-        epoch: u32,
-    ) -> Receiver<Result<R::Batch>>
-    where
-        'a: 'scope,
-        R::Batch: 'scope,
-    {
-        let (sender, receiver) = sync_channel(LOADED_AHEAD);
-        let (recipe, steering) = (self.recipe, self.steering);
-        scope.spawn(move || {
-            for batch in order.chunks(steering.batch) {
-                for items in batch.chunks(steering.micro_batch) {
-                    if sender.send(recipe.load(epoch, items)).is_err() {
-                        return;
-                    }
-                }
-            }
-        });
-        receiver
-    }
-
-    /// The optimiser steps of an epoch.
-    fn steps(
-        &mut self,
-        order: &[usize],
-        batches: &Receiver<Result<R::Batch>>,
-        learner: &mut Learner<R::Model>,
-        state: &mut StageState,
-        sums: &mut EpochSums,
-    ) -> Result<()> {
-        let steering = self.steering;
-        for batch in order.chunks(steering.batch) {
-            if self.progress.interrupted() {
-                self.progress.end();
-                return Err(Error::Interrupted {
-                    resume: format!(
-                        "{} is saved up to epoch {}; run the same command with --resume to go on",
-                        R::STAGE,
-                        state.epoch
-                    ),
-                });
-            }
-            let rate = self.learning_rate(state.step);
-            let next = || {
-                batches
-                    .recv()
-                    .unwrap_or_else(|_| unreachable!("the loader sends every pass or an error"))
-            };
-            let step = learner.step(self.recipe, steering, rate, batch, next);
-            let step = step.map_err(|error| match error {
-                StepError::Other(error) => error,
-                StepError::NotFinite(reported, items) => {
-                    self.progress.end();
-                    self.not_finite(reported, &items, state)
-                }
-            })?;
-            sums.add(&step, batch.len());
-            sums.learning_rate = rate;
-            state.step += 1;
-            self.log.add_step(R::STAGE, state.step, step.loss);
-            self.progress.status(&format!(
-                "epoch {}/{} loss {:.3}",
-                state.epoch + 1,
-                steering.epochs,
-                sums.loss / sums.items as f64
+        if let Some(error) = failure.take() {
+            return Err(error);
+        }
+        if let Some(problem) = problem {
+            return Err(Error::training(
+                format!("training the {} stopped: {problem}", R::STAGE),
+                "mend what it names and --resume; a smaller batch or another device may help",
             ));
-            self.progress.advance(1);
         }
-        Ok(())
-    }
-
-    /// The learning rate of a step: a straight rise, then the schedule.
-    fn learning_rate(&self, step: u64) -> f64 {
-        let steering = self.steering;
-        let epoch = step as f64 / self.steps_per_epoch.max(1) as f64;
-        let last = steering.final_learning_rate;
-        let factor = schedule_factor(steering.schedule, epoch, f64::from(steering.epochs), last);
-        let rise =
-            (step + 1) as f64 / (steering.warmup_epochs * self.steps_per_epoch as f64).max(1.0);
-        steering.learning_rate * factor * rise.min(1.0)
-    }
-
-    fn not_finite(&self, loss: f64, items: &[usize], state: &StageState) -> Error {
-        let names: Vec<String> = items
-            .iter()
-            .map(|&item| self.recipe.item_name(item))
-            .collect();
-        Error::training(
-            format!(
-                "the {} loss is {loss} in epoch {}, step {}, on {}",
-                R::STAGE,
-                state.epoch + 1,
-                state.step + 1,
-                names.join(", ")
-            ),
-            "check these files; else lower the learning rate and --resume",
-        )
-    }
-}
-
-/// Running sums over an epoch.
-#[derive(Debug, Default)]
-struct EpochSums {
-    loss: f64,
-    terms: Vec<f64>,
-    gradient_norm: f64,
-    steps: u64,
-    items: usize,
-    learning_rate: f64,
-}
-
-impl EpochSums {
-    fn add(&mut self, step: &StepOutcome, items: usize) {
-        let weight = items as f64;
-        self.loss += step.loss * weight;
-        self.terms.resize(step.terms.len(), 0.0);
-        for (sum, term) in self.terms.iter_mut().zip(&step.terms) {
-            *sum += term * weight;
+        let folder = StageFolder::new(place.run, R::STAGE);
+        if interrupted {
+            let saved = folder.state(&saver.steering().settings)?;
+            return Err(Error::Interrupted {
+                resume: format!(
+                    "{} is saved up to epoch {}; run the same command with --resume to go on",
+                    R::STAGE,
+                    saved.map_or(0, |state| state.epoch)
+                ),
+            });
         }
-        self.gradient_norm += step.gradient_norm;
-        self.steps += 1;
-        self.items += items;
+        Ok(saver.best())
+    }
+
+    /// Burn-train's loop; the reason why it failed, if it did.
+    fn launch(
+        self,
+        devices: &DeviceSet,
+        renderer: ProgressRenderer,
+        metrics: MetricsLog,
+        log: SharedLog,
+    ) -> Option<String> {
+        let steering = &self.steering;
+        let passes = PassLoader::new(
+            Arc::clone(&self.recipe),
+            steering,
+            devices.len(),
+            self.finished,
+        );
+        let checks = CheckLoader::new(
+            self.recipe.checks(),
+            self.recipe.check_batch(),
+            steering,
+            self.finished,
+        );
+        let [models, optimizers, schedules] = RecordSaver::all(&self.saver);
+        let mut training = SupervisedTraining::new("", Arc::new(passes), Arc::new(checks))
+            .num_epochs(steering.epochs as usize)
+            .with_interrupter(self.failure.interrupter.clone())
+            .renderer(Box::new(renderer))
+            .with_metric_logger(metrics)
+            .with_application_logger(None)
+            .with_custom_checkpointers(models, optimizers, schedules)
+            .with_checkpointing_strategy(SaveEveryEpoch(Arc::clone(&self.saver)))
+            .early_stopping(Patience(Arc::clone(&self.saver)))
+            .metric_valid(Showcase::new(R::STAGE, log))
+            .with_training_strategy(devices.strategy().into());
+        let norms = &self.trainee.course.norms;
+        for metric in TrainingMetric::all(&self.recipe, &self.failure, norms) {
+            training = training.metric_train_numeric(metric);
+        }
+        for metric in ValidationMetric::all(&*self.recipe) {
+            training = training.metric_valid_numeric(metric);
+        }
+        let passes_per_step = (steering.batch / devices.len()).div_ceil(steering.micro_batch);
+        if passes_per_step > 1 {
+            training = training.grads_accumulation(passes_per_step);
+        }
+        if self.finished > 0 {
+            training = training.checkpoint(self.finished as usize);
+        }
+        let schedule = RiseAndFall::new(steering.clone(), self.steps_per_epoch);
+        let result = training.launch(Learner::new(self.trainee, self.optimizer, schedule));
+        result.error.map(|error| error.to_string())
     }
 }
 
-/// The order of the items in an epoch: it depends on seed and epoch alone.
-fn shuffled(items: usize, seed: u64, epoch: u32) -> Vec<usize> {
-    let seed = seed
-        .wrapping_mul(0x9E37_79B9_7F4A_7C15)
-        .wrapping_add(u64::from(epoch));
-    let order = ShuffledDataset::new(InMemDataset::new((0..items).collect()), seed);
-    (0..order.len())
-        .filter_map(|index| order.get(index).ok())
-        .collect()
+/// Passes reports on until the training is over; whether the user asked to stop.
+fn relay(
+    incoming: &Receiver<Report>,
+    epochs: u32,
+    failure: &Failure,
+    progress: &dyn Progress,
+) -> bool {
+    let (mut epoch, mut interrupted) = (0, false);
+    loop {
+        match incoming.recv_timeout(POLL) {
+            Ok(Report::Epoch(number)) => epoch = number,
+            Ok(Report::Step(loss)) => {
+                progress.status(&format!("epoch {epoch}/{epochs} loss {loss:.3}"));
+                progress.advance(1);
+            }
+            Ok(Report::Validating) => progress.status("validating"),
+            Ok(Report::Note(text)) => progress.note(&text),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return interrupted,
+        }
+        if !interrupted && progress.interrupted() {
+            interrupted = true;
+            failure.interrupter.stop(Some("interrupted"));
+        }
+    }
+}
+
+fn panic_text(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().cloned();
+    text.or_else(|| panic.downcast_ref::<&str>().map(|&text| text.to_owned()))
+        .unwrap_or_else(|| "for a reason that it did not tell".to_owned())
 }

@@ -85,12 +85,15 @@ fn a_run_that_is_killed_again_and_again_learns_what_an_uninterrupted_one_does() 
     let whole = begun.elapsed();
     let wanted = learnt(&place.path("whole"));
 
-    // Twenty moments spread over the run, in an order that mixes early and late ones.
-    let mut kills = 0;
-    for moment in 0..20_u32 {
-        let share = f64::from(moment * 7 % 20 + 1) / 22.0;
-        let resume = if kills == 0 { "" } else { "--resume" };
-        let mut child = start(&place, &format!("{TRAIN} --run killed {resume}"));
+    // Twenty moments spread over a run, early and late ones mixed; a run that survives to its end is
+    // compared, and another one is killed from then on.
+    let (mut kills, mut runs) = (0_u32, 0_u32);
+    let mut begins = true;
+    while kills < 20 {
+        let share = f64::from(kills * 7 % 20 + 1) / 22.0;
+        let run = format!("killed-{runs}");
+        let resume = if begins { "" } else { "--resume" };
+        let mut child = start(&place, &format!("{TRAIN} --run {run} {resume}"));
         let wait = Duration::from_secs_f64(whole.as_secs_f64() * share * 0.6);
         let begun = Instant::now();
         while begun.elapsed() < wait && child.try_wait().unwrap().is_none() {
@@ -98,18 +101,32 @@ fn a_run_that_is_killed_again_and_again_learns_what_an_uninterrupted_one_does() 
         }
         if child.try_wait().unwrap().is_some() {
             Outcome::of(child.wait_with_output().unwrap()).success();
-            break;
+            assert_learnt_alike(&wanted, &learnt(&place.path(&run)), kills);
+            runs += 1;
+            begins = true;
+            continue;
         }
         child.kill().unwrap();
         child.wait().unwrap();
         kills += 1;
+        begins = false;
     }
-    assert!(kills > 0, "nothing was killed");
+    let run = format!("killed-{runs}");
     place
-        .line(&format!("{TRAIN} --run killed --resume"))
+        .line(&format!("{TRAIN} --run {run} --resume"))
         .success();
-    for ((name, wanted), (_, got)) in wanted.iter().zip(learnt(&place.path("killed"))) {
-        assert!(*wanted == got, "{name} differs after {kills} kills");
+    assert_learnt_alike(&wanted, &learnt(&place.path(&run)), kills);
+}
+
+fn assert_learnt_alike(wanted: &[(String, Vec<u8>)], got: &[(String, Vec<u8>)], kills: u32) {
+    for ((name, wanted), (_, got)) in wanted.iter().zip(got) {
+        let text = |bytes: &[u8]| String::from_utf8_lossy(&bytes[..bytes.len().min(2000)]).into_owned();
+        assert!(
+            wanted == got,
+            "{name} differs after {kills} kills: {}\n{}",
+            text(wanted),
+            text(got)
+        );
     }
 }
 
@@ -118,7 +135,7 @@ fn a_damaged_checkpoint_is_noticed_by_name() {
     let place = with_settings();
     let line = "train detector --config three.toml --data data --run r";
     place.line(line).success();
-    let path = place.path("r/detector/resume/optimizer.bpk");
+    let path = place.path("r/detector/resume/epoch-0003/optimizer.bpk");
     let mut bytes = fs::read(&path).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;

@@ -1,0 +1,290 @@
+//! Loaders of burn-train's loops: passes of training items and ranges of validation items.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+use burn::data::dataloader::{DataLoader, DataLoaderIterator, Progress};
+use burn::tensor::Device;
+use burn_dataset::transform::ShuffledDataset;
+use burn_dataset::{Dataset as _, DatasetError, InMemDataset};
+
+use super::stage::{Recipe, Steering};
+use crate::error::Result;
+
+/// Passes that wait for their step, at most.
+const LOADED_AHEAD: usize = 1;
+
+/// The items of one forward and backward pass, loaded.
+pub struct Pass<B> {
+    /// What the recipe made of them.
+    pub batch: B,
+    /// Their numbers.
+    pub items: Vec<usize>,
+    /// Their part of the optimiser step.
+    pub share: f64,
+    /// The epoch, from 0.
+    pub epoch: u32,
+    /// When the epoch began.
+    pub epoch_started: Instant,
+}
+
+/// Optimiser steps of an epoch. Devices have equal parts of every batch, or they would wait for each
+/// other in vain; what is left over of the last batch is left out, other items every time.
+pub fn steps_per_epoch(items: usize, batch: usize, devices: usize) -> u64 {
+    let last = usize::from(items % batch >= devices);
+    (items / batch + last) as u64
+}
+
+/// Training passes, epoch after epoch: shuffled by seed and epoch alone, loaded on a thread beside
+/// the steps.
+///
+/// On several devices each has its part of *every* batch, so that a step sees the same items
+/// however many devices share it.
+pub struct PassLoader<R> {
+    recipe: Arc<R>,
+    seed: u64,
+    batch: usize,
+    micro_batch: usize,
+    /// Devices that will share the batches, one slice each.
+    devices: usize,
+    /// Epochs begun.
+    epoch: AtomicU32,
+    /// Number of this part and of all parts.
+    part: [usize; 2],
+}
+
+impl<R: Recipe> PassLoader<R> {
+    /// A loader that goes on after so many epochs.
+    pub fn new(recipe: Arc<R>, steering: &Steering, devices: usize, finished_epochs: u32) -> Self {
+        Self {
+            recipe,
+            seed: steering.seed,
+            batch: steering.batch,
+            micro_batch: steering.micro_batch,
+            devices,
+            epoch: AtomicU32::new(finished_epochs),
+            part: [0, 1],
+        }
+    }
+
+    fn with_part(&self, part: [usize; 2]) -> Self {
+        Self {
+            recipe: Arc::clone(&self.recipe),
+            seed: self.seed,
+            batch: self.batch,
+            micro_batch: self.micro_batch,
+            devices: self.devices,
+            epoch: AtomicU32::new(self.epoch.load(Ordering::Relaxed)),
+            part,
+        }
+    }
+
+    /// The passes of an epoch: items and share of the step.
+    fn passes(&self, epoch: u32) -> Vec<(Vec<usize>, f64)> {
+        let order = shuffled(self.recipe.items(), self.seed, epoch);
+        let [number, parts] = self.part;
+        let mut passes = Vec::new();
+        for batch in order.chunks(self.batch) {
+            // Equal parts: see `steps_per_epoch`.
+            let each = batch.len() / parts;
+            let own = &batch[number * each..(number + 1) * each];
+            for items in own.chunks(self.micro_batch) {
+                let share = items.len() as f64 / (each * parts) as f64;
+                passes.push((items.to_vec(), share));
+            }
+        }
+        passes
+    }
+}
+
+impl<R: Recipe> DataLoader<Pass<R::Batch>> for PassLoader<R> {
+    fn iter<'a>(&'a self) -> Box<dyn DataLoaderIterator<Pass<R::Batch>> + 'a> {
+        let epoch = self.epoch.fetch_add(1, Ordering::Relaxed);
+        let passes = self.passes(epoch);
+        let total = passes.iter().map(|(items, _)| items.len()).sum();
+        let epoch_started = Instant::now();
+        let (sender, receiver) = sync_channel(LOADED_AHEAD);
+        let recipe = Arc::clone(&self.recipe);
+        let thread = std::thread::spawn(move || {
+            for (items, share) in passes {
+                let pass = recipe.load(epoch, &items).map(|batch| Pass {
+                    batch,
+                    items,
+                    share,
+                    epoch,
+                    epoch_started,
+                });
+                if sender.send(pass).is_err() {
+                    return;
+                }
+            }
+        });
+        Box::new(Passes {
+            receiver: Some(receiver),
+            thread: Some(thread),
+            processed: 0,
+            total,
+        })
+    }
+
+    fn num_items(&self) -> usize {
+        self.recipe.items()
+    }
+
+    /// A pass goes to a device with its step.
+    fn to_device(&self, _: &Device) -> Arc<dyn DataLoader<Pass<R::Batch>>> {
+        Arc::new(self.with_part(self.part))
+    }
+
+    /// Not these items, but their share of every batch.
+    fn slice(&self, start: usize, _: usize) -> Arc<dyn DataLoader<Pass<R::Batch>>> {
+        let length = (self.num_items() / self.devices).max(1);
+        Arc::new(self.with_part([start / length, self.devices]))
+    }
+}
+
+/// Passes as they are loaded.
+struct Passes<B> {
+    receiver: Option<Receiver<Result<Pass<B>>>>,
+    thread: Option<JoinHandle<()>>,
+    processed: usize,
+    total: usize,
+}
+
+impl<B> Iterator for Passes<B> {
+    type Item = std::result::Result<Pass<B>, DatasetError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let pass = self.receiver.as_ref()?.recv().ok()?;
+        if let Ok(pass) = &pass {
+            self.processed += pass.items.len();
+        }
+        Some(pass.map_err(DatasetError::new))
+    }
+}
+
+impl<B> DataLoaderIterator<Pass<B>> for Passes<B> {
+    fn progress(&self) -> Progress {
+        Progress::new(self.processed, self.total, Some("items".to_owned()))
+    }
+}
+
+impl<B> Drop for Passes<B> {
+    fn drop(&mut self) {
+        // The thread ends when nobody takes its passes any more.
+        drop(self.receiver.take());
+        if let Some(thread) = self.thread.take() {
+            // A panic of the thread was reported by itself; here only the work ends.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Some validation items.
+#[derive(Debug, Clone)]
+pub struct Check {
+    /// Their numbers.
+    pub items: Range<usize>,
+    /// Whether pictures and weights are to be shown with them: once per validation.
+    pub shows: bool,
+}
+
+/// Validation items, in the epochs that validate.
+pub struct CheckLoader {
+    items: usize,
+    batch: usize,
+    every: u32,
+    epochs: u32,
+    /// Epochs begun.
+    epoch: AtomicU32,
+}
+
+impl CheckLoader {
+    /// A loader for so many items that goes on after so many epochs.
+    pub fn new(items: usize, batch: usize, steering: &Steering, finished_epochs: u32) -> Self {
+        Self {
+            items,
+            batch,
+            every: steering.validate_every,
+            epochs: steering.epochs,
+            epoch: AtomicU32::new(finished_epochs),
+        }
+    }
+}
+
+impl CheckLoader {
+    fn again(&self) -> Self {
+        Self {
+            epoch: AtomicU32::new(self.epoch.load(Ordering::Relaxed)),
+            ..*self
+        }
+    }
+}
+
+impl DataLoader<Check> for CheckLoader {
+    fn iter<'a>(&'a self) -> Box<dyn DataLoaderIterator<Check> + 'a> {
+        let finished = self.epoch.fetch_add(1, Ordering::Relaxed) + 1;
+        let validates = finished.is_multiple_of(self.every) || finished == self.epochs;
+        Box::new(Checks {
+            next: 0,
+            items: if validates { self.items } else { 0 },
+            batch: self.batch,
+        })
+    }
+
+    fn num_items(&self) -> usize {
+        self.items
+    }
+
+    fn to_device(&self, _: &Device) -> Arc<dyn DataLoader<Check>> {
+        Arc::new(self.again())
+    }
+
+    /// Validation is never divided.
+    fn slice(&self, _: usize, _: usize) -> Arc<dyn DataLoader<Check>> {
+        Arc::new(self.again())
+    }
+}
+
+struct Checks {
+    next: usize,
+    items: usize,
+    batch: usize,
+}
+
+impl Iterator for Checks {
+    type Item = std::result::Result<Check, DatasetError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let start = self.next;
+        if start >= self.items {
+            return None;
+        }
+        self.next = (start + self.batch).min(self.items);
+        Some(Ok(Check {
+            items: start..self.next,
+            shows: start == 0,
+        }))
+    }
+}
+
+impl DataLoaderIterator<Check> for Checks {
+    fn progress(&self) -> Progress {
+        Progress::new(self.next, self.items, Some("items".to_owned()))
+    }
+}
+
+/// The order of the items in an epoch: it depends on seed and epoch alone.
+fn shuffled(items: usize, seed: u64, epoch: u32) -> Vec<usize> {
+    let seed = seed
+        .wrapping_mul(0x9E37_79B9_7F4A_7C15)
+        .wrapping_add(u64::from(epoch));
+    let order = ShuffledDataset::new(InMemDataset::new((0..items).collect()), seed);
+    (0..order.len())
+        .filter_map(|index| order.get(index).ok())
+        .collect()
+}

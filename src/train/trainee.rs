@@ -1,0 +1,326 @@
+//! A network in training as burn-train's strategies drive it: a step, what follows a step, and
+//! validation.
+
+use std::fmt;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::Instant;
+
+use burn::module::{Module, ModuleDisplay, Param, ParamId};
+use burn::optim::lr_scheduler::module_lr_scheduler::ModuleLearningRate;
+use burn::optim::{GradientsParams, ModuleOptimizer};
+use burn::tensor::{ExecutionError, Tensor};
+use burn::train::{InferenceStep, Interrupter, ItemLazy, TrainOutput, TrainStep};
+use image::RgbImage;
+
+use super::loader::{Check, Pass};
+use super::optimizer::{
+    average_into, clip_gradients, ema_decay, flat_values, initialize, named_weights, with_values,
+};
+use super::stage::{Recipe, Steering};
+use crate::error::Error;
+
+/// The first error of a stage. It stops the loop, which knows errors of its own kinds only.
+#[derive(Clone, Default)]
+pub struct Failure {
+    error: Arc<Mutex<Option<Error>>>,
+    /// What stops the loop.
+    pub interrupter: Interrupter,
+}
+
+impl Failure {
+    /// Stops the loop because of an error; the first one counts.
+    pub fn set(&self, error: Error) {
+        let mut slot = self.error.lock().unwrap_or_else(PoisonError::into_inner);
+        slot.get_or_insert(error);
+        self.interrupter.stop(Some("an error"));
+    }
+
+    /// The error, if there was one.
+    pub fn take(&self) -> Option<Error> {
+        let mut slot = self.error.lock().unwrap_or_else(PoisonError::into_inner);
+        slot.take()
+    }
+}
+
+/// Gradient norms of the steps since they were last taken.
+pub type Norms = Arc<Mutex<Vec<f64>>>;
+
+/// What a step needs beside the network.
+pub struct Course<R: Recipe> {
+    /// Loss, loading and validation.
+    pub recipe: Arc<R>,
+    /// Longest global gradient norm.
+    longest: f64,
+    /// Decay and ramp of averaged weights.
+    average: Option<(f64, f64)>,
+    /// Optimiser steps taken.
+    pub steps: u64,
+    /// Where the gradient norms go.
+    pub norms: Norms,
+    /// Where errors go.
+    pub failure: Failure,
+    /// What validates; made once per validation, of its inference copy.
+    judge: OnceLock<Option<Arc<R::Judge>>>,
+}
+
+impl<R: Recipe> Clone for Course<R> {
+    fn clone(&self) -> Self {
+        Self {
+            recipe: Arc::clone(&self.recipe),
+            longest: self.longest,
+            average: self.average,
+            steps: self.steps,
+            norms: Arc::clone(&self.norms),
+            failure: self.failure.clone(),
+            // Another copy has other weights.
+            judge: OnceLock::new(),
+        }
+    }
+}
+
+impl<R: Recipe> fmt::Debug for Course<R> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Course")
+            .field("stage", &R::STAGE)
+            .field("steps", &self.steps)
+            .finish_non_exhaustive()
+    }
+}
+
+/// A network with its averaged weights; both are in a checkpoint's module record.
+#[derive(Module, Debug)]
+pub struct Trainee<N: Module, C: Clone + fmt::Debug + Send + Sync> {
+    /// The network.
+    pub network: N,
+    /// Its averaged weights, flat, in the order of traversal; none where they are not averaged.
+    average: Vec<Param<Tensor<1>>>,
+    /// Everything else.
+    #[module(skip)]
+    pub course: C,
+}
+
+/// The trainee of a recipe.
+pub type TraineeOf<R> = Trainee<<R as Recipe>::Model, Course<R>>;
+
+impl<R: Recipe> TraineeOf<R> {
+    /// A network that has taken so many steps.
+    pub fn new(
+        recipe: Arc<R>,
+        steering: &Steering,
+        network: R::Model,
+        steps: u64,
+        failure: Failure,
+    ) -> Self {
+        initialize(&network);
+        let average = match steering.average {
+            Some(_) => flat_values(&network)
+                .into_iter()
+                .map(|values| Param::initialized(ParamId::new(), values))
+                .collect(),
+            None => Vec::new(),
+        };
+        Self {
+            network,
+            average,
+            course: Course {
+                recipe,
+                longest: steering.clip_norm.unwrap_or(f64::INFINITY),
+                average: steering.average,
+                steps,
+                norms: Norms::default(),
+                failure,
+                judge: OnceLock::new(),
+            },
+        }
+    }
+
+    /// An inference copy of the network: with the averaged weights where there are some.
+    pub fn usable(&self) -> R::Model {
+        if self.average.is_empty() {
+            return self.network.valid();
+        }
+        let values: Vec<_> = self.average.iter().map(Param::val).collect();
+        with_values(self.network.valid(), &values)
+    }
+
+    /// What validates this copy.
+    fn judge(&self) -> Option<Arc<R::Judge>> {
+        let judge = self.course.judge.get_or_init(|| {
+            let judge = self.course.recipe.judge(&self.usable());
+            judge
+                .map_err(|error| self.course.failure.set(error))
+                .ok()
+                .map(Arc::new)
+        });
+        judge.clone()
+    }
+}
+
+/// What came of one pass.
+#[derive(Clone)]
+pub struct PassReport {
+    /// The stage.
+    pub stage: &'static str,
+    /// The epoch, from 0.
+    pub epoch: u32,
+    /// The optimiser step, from 0.
+    pub step: u64,
+    /// The recipe's loss terms per item, of which the loss is the sum.
+    pub terms: Vec<f64>,
+    /// The terms before they are read back from the device.
+    unread: Option<Tensor<1>>,
+    /// The items.
+    pub items: Vec<usize>,
+    /// Their part of the optimiser step.
+    pub share: f64,
+    /// When the epoch began, and when the pass was over.
+    pub times: [Instant; 2],
+}
+
+impl ItemLazy for PassReport {
+    fn sync(mut self) -> Result<Self, ExecutionError> {
+        if let Some(terms) = self.unread.take() {
+            self.terms =
+                terms
+                    .try_into_vec_as::<f64>()
+                    .map_err(|source| ExecutionError::WithContext {
+                        reason: format!("the loss cannot be read back: {source}"),
+                    })?;
+        }
+        Ok(self)
+    }
+}
+
+impl<R: Recipe> TrainStep for TraineeOf<R>
+where
+    R::Model: ModuleDisplay,
+{
+    type Input = Pass<R::Batch>;
+    type Output = PassReport;
+
+    fn step(&self, pass: Pass<R::Batch>) -> TrainOutput<PassReport> {
+        let recipe = &self.course.recipe;
+        let mut report = PassReport {
+            stage: R::STAGE,
+            epoch: pass.epoch,
+            step: self.course.steps,
+            terms: Vec::new(),
+            unread: None,
+            items: pass.items,
+            share: pass.share,
+            times: [pass.epoch_started; 2],
+        };
+        let grads = match recipe.loss(&self.network, pass.batch, pass.share) {
+            Ok(loss) => {
+                report.unread = Some(loss.terms.without_autodiff());
+                GradientsParams::from_grads(loss.total.backward(), &self.network)
+            }
+            Err(error) => {
+                self.course.failure.set(error);
+                GradientsParams::new()
+            }
+        };
+        report.times[1] = Instant::now();
+        TrainOutput {
+            grads,
+            item: report,
+        }
+    }
+
+    /// Clips the gradients by their global norm, takes the step and moves the averaged weights.
+    fn optimize(
+        self,
+        optimizer: &mut ModuleOptimizer,
+        rate: ModuleLearningRate,
+        grads: GradientsParams,
+    ) -> Self {
+        let (grads, norm) = match clip_gradients(&self.network, grads, self.course.longest) {
+            Ok(clipped) => clipped,
+            Err(error) => {
+                self.course.failure.set(error);
+                return self;
+            }
+        };
+        let mut norms = self
+            .course
+            .norms
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        norms.push(norm);
+        drop(norms);
+        let mut trained = optimizer.step(rate, self, grads);
+        trained.course.steps += 1;
+        if let Some((longest, ramp)) = trained.course.average {
+            let decay = ema_decay(longest, ramp, trained.course.steps);
+            let values = flat_values(&trained.network);
+            trained.average = std::mem::take(&mut trained.average)
+                .into_iter()
+                .zip(values)
+                .map(|(average, value)| average.map(|average| average_into(average, value, decay)))
+                .collect();
+        }
+        trained
+    }
+}
+
+/// What came of some validation items.
+pub struct CheckReport<F> {
+    /// The recipe's findings; none after an error.
+    pub findings: Option<Arc<F>>,
+    /// What to show of them.
+    pub shown: Option<Arc<Shown>>,
+}
+
+/// What a validation shows.
+pub struct Shown {
+    /// Optimiser steps taken.
+    pub step: u64,
+    /// Pictures by tag.
+    pub pictures: Vec<(String, RgbImage)>,
+    /// Weights by path.
+    pub weights: Vec<(String, Vec<f32>)>,
+}
+
+impl<F: Send + Sync> ItemLazy for CheckReport<F> {
+    fn sync(self) -> Result<Self, ExecutionError> {
+        Ok(self)
+    }
+}
+
+impl<R: Recipe> InferenceStep for TraineeOf<R>
+where
+    R::Model: ModuleDisplay,
+{
+    type Input = Check;
+    type Output = CheckReport<R::Findings>;
+
+    fn step(&self, check: Check) -> CheckReport<R::Findings> {
+        let nothing = CheckReport {
+            findings: None,
+            shown: None,
+        };
+        let Some(judge) = self.judge() else {
+            return nothing;
+        };
+        let recipe = &self.course.recipe;
+        let examined = recipe.examine(&judge, check.items).and_then(|findings| {
+            let shown = if check.shows {
+                Some(Arc::new(Shown {
+                    step: self.course.steps,
+                    pictures: recipe.pictures(&judge)?,
+                    weights: named_weights(&self.usable())?,
+                }))
+            } else {
+                None
+            };
+            Ok(CheckReport {
+                findings: Some(Arc::new(findings)),
+                shown,
+            })
+        });
+        examined.unwrap_or_else(|error| {
+            self.course.failure.set(error);
+            nothing
+        })
+    }
+}
