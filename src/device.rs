@@ -75,9 +75,10 @@ impl DeviceName {
         address: None,
     };
 
-    /// Whether devices of this kind can add up their gradients among themselves.
+    /// Whether devices of this kind can add up their gradients among themselves. Burn's processors
+    /// and other graphics cards cannot, and remote devices only within one worker.
     pub(crate) fn is_collective(&self) -> bool {
-        matches!(self.kind, Kind::Cuda | Kind::Remote)
+        self.kind == Kind::Cuda
     }
 
     /// Opens the device.

@@ -13,6 +13,9 @@ mod pairing;
 mod report;
 #[path = "cli/training.rs"]
 mod training;
+#[cfg(feature = "remote")]
+#[path = "cli/worker.rs"]
+mod worker;
 
 use std::fs;
 use std::path::Path;
@@ -25,6 +28,12 @@ const COMMANDS: [&str; 11] = [
     "generate", "import", "export", "validate", "inspect", "prepare", "train", "evaluate",
     "report", "predict", "devices",
 ];
+/// Commands that a build may lack.
+const OPTIONAL_COMMANDS: &[&str] = if cfg!(feature = "remote") {
+    &["worker"]
+} else {
+    &[]
+};
 
 /// A dataset that is made in a moment.
 const TINY_DATASET: &str = "
@@ -83,14 +92,14 @@ fn files_below(folder: &Path) -> usize {
 fn the_help_of_every_command_is_a_manual_with_an_example() {
     let place = Workplace::new();
     let manual = place.line("--help").success();
-    for command in COMMANDS {
+    for command in COMMANDS.iter().chain(OPTIONAL_COMMANDS) {
         assert!(
             manual.contains(&format!("\n  {command} ")),
             "{command} should be listed"
         );
-        let help = place.run([command, "--help"]).success();
+        let help = place.run([*command, "--help"]).success();
         assert!(help.contains("Examples:") && help.contains(&format!("twinsight {command}")));
-        assert_eq!(place.run(["help", command]).success(), help);
+        assert_eq!(place.run(["help", *command]).success(), help);
     }
 }
 

@@ -98,6 +98,16 @@ fn run(
     changes: &str,
     device: DeviceName,
 ) -> Vec<EpochRow> {
+    run_on(folder, name, stage, changes, &[device])
+}
+
+fn run_on(
+    folder: &Path,
+    name: &str,
+    stage: Stage,
+    changes: &str,
+    devices: &[DeviceName],
+) -> Vec<EpochRow> {
     let mut table: toml::Table = toml::from_str(PLAIN).unwrap();
     let changes: toml::Table = toml::from_str(changes).unwrap();
     for (section, values) in changes {
@@ -115,7 +125,7 @@ fn run(
             run: &run,
             stage,
             resume: false,
-            devices: &[device],
+            devices,
         },
         &Silent,
     )
@@ -221,4 +231,42 @@ fn an_epoch_of_both_networks_is_the_same_on_every_device() {
             );
         }
     }
+}
+
+/// Burn adds up what the devices compute in the order in which it arrives, so agreement is as good as
+/// rounding lets it be; what differs by design is batch normalisation, over each device's own part.
+#[test]
+fn two_devices_that_share_a_training_learn_what_one_does() {
+    if cfg!(not(feature = "ndarray")) {
+        println!("skipped: a build with the feature ndarray has a second device");
+        return;
+    }
+    let _turn = alone();
+    let folder = tempfile::tempdir().unwrap();
+    dataset(folder.path());
+    let settings = "detector = { image_size = 64, batch = 8, micro_batch = 4 }\n\
+                    distance = { batch = 8, micro_batch = 4 }";
+    let pair: Vec<DeviceName> = ["flex", "ndarray"]
+        .map(|name| name.parse().unwrap())
+        .to_vec();
+    let run = |name, stage, devices| run_on(folder.path(), name, stage, settings, devices);
+    let alone = run("alone", Stage::Distance, &[DeviceName::FLEX]);
+    let shared = run("shared", Stage::Distance, &pair);
+    assert_eq!(alone.len(), shared.len());
+    for (one, two) in alone.iter().zip(&shared) {
+        assert_eq!((one.epoch, one.step), (two.epoch, two.step));
+        // Two steps on a loss that is far from its minimum.
+        let apart = (one.loss - two.loss).abs() / one.loss;
+        assert!(apart < 1e-2, "{} alone, {} shared", one.loss, two.loss);
+    }
+
+    // With batch normalisation: the same again, to the bit, for nothing depends on who comes first.
+    let [first, second] = ["first", "second"].map(|name| {
+        let rows = run(name, Stage::Detector, &pair);
+        let path = folder.path().join(name).join("detector/last.safetensors");
+        let losses: Vec<f64> = rows.iter().map(|row| row.loss).collect();
+        (losses, std::fs::read(path).unwrap())
+    });
+    assert_eq!(first.0, second.0);
+    assert!(first.1 == second.1, "the weights differ");
 }

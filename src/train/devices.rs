@@ -53,10 +53,22 @@ impl DeviceSet {
         self.devices.len()
     }
 
+    /// Whether each keeps the network, and they add up gradients among themselves.
+    pub fn is_collective(&self) -> bool {
+        self.collective
+    }
+
+    /// Which of them a device is.
+    pub fn position(&self, device: &Device) -> usize {
+        // Burn compares devices without regard to gradients.
+        let position = self.devices.iter().position(|own| own == device);
+        position.unwrap_or_default()
+    }
+
     /// Burn's strategy for them.
     ///
-    /// One device trains alone. CUDA and remote devices each keep the network and add up their
-    /// gradients among themselves (distributed data parallel); others send their gradients to the
+    /// One device trains alone. CUDA devices each keep the network and add up their gradients
+    /// among themselves (distributed data parallel); others send their gradients to the
     /// first one, which takes the step. Gradients are added, not averaged, for a pass's loss is its
     /// part of the step's.
     pub fn strategy(&self) -> ExecutionStrategy {

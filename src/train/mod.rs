@@ -16,6 +16,7 @@ mod plan;
 mod readout;
 mod reporting;
 mod run;
+mod running;
 mod schedule;
 mod stage;
 mod trainee;

@@ -12,6 +12,7 @@ use burn::train::{ItemLazy as _, Learner};
 use serde::Serialize;
 
 use super::detector::DetectorRecipe;
+use super::devices::DeviceSet;
 use super::distance::DistanceRecipe;
 use super::loader::{Pass, steps_per_epoch};
 use super::run::{Stage, TrainRequest, open_dataset};
@@ -71,17 +72,17 @@ pub fn plan(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainPlan
     let mut stages = Vec::new();
     if request.stage != Stage::Distance {
         let stage = DetectorRecipe::prepared(request.config, &dataset, device, progress)?;
-        stages.push(measure(stage, devices.len())?);
+        stages.push(measure(stage, &devices)?);
     }
     if request.stage != Stage::Detector {
         let stage = DistanceRecipe::prepared(request.config, &dataset, device, progress)?;
-        stages.push(measure(stage, devices.len())?);
+        stages.push(measure(stage, &devices)?);
     }
     Ok(TrainPlan { stages })
 }
 
 /// Measures a few steps on the first device; several devices share a step's items.
-fn measure<R: Recipe>(stage: PreparedStage<R>, devices: usize) -> Result<StagePlan> {
+fn measure<R: Recipe>(stage: PreparedStage<R>, devices: &DeviceSet) -> Result<StagePlan> {
     forget_peak();
     let PreparedStage {
         recipe,
@@ -91,12 +92,19 @@ fn measure<R: Recipe>(stage: PreparedStage<R>, devices: usize) -> Result<StagePl
     } = stage;
     let parameters = network.num_params();
     let items = recipe.items();
-    let steps_per_epoch = steps_per_epoch(items, steering.batch, devices);
+    let steps_per_epoch = steps_per_epoch(items, steering.batch, devices.len());
     let failure = Failure::default();
-    let trainee = Trainee::new(Arc::clone(&recipe), &steering, network, 0, failure.clone());
+    let trainee = Trainee::new(
+        Arc::clone(&recipe),
+        &steering,
+        network,
+        0,
+        devices,
+        failure.clone(),
+    );
     let schedule = RiseAndFall::new(steering.clone(), steps_per_epoch);
     let mut learner = Learner::new(trainee, optimizer, schedule);
-    let batch = (steering.batch / devices).min(items).max(1);
+    let batch = (steering.batch / devices.len()).min(items).max(1);
     let mut least = [f64::INFINITY; 2];
     for _ in 0..ROUNDS {
         let [stepping, loading] = time_step(&mut learner, &*recipe, batch, steering.micro_batch)?;

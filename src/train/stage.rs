@@ -324,6 +324,7 @@ impl<R: Recipe> Launch<R> {
             &steering,
             network,
             state.step,
+            place.devices,
             failure.clone(),
         );
         let saver = StageSaver::new(

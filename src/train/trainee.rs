@@ -12,10 +12,12 @@ use burn::tensor::{ExecutionError, Tensor};
 use burn::train::{InferenceStep, Interrupter, ItemLazy, TrainOutput, TrainStep};
 use image::RgbImage;
 
+use super::devices::DeviceSet;
 use super::loader::{Check, Pass};
 use super::optimizer::{
     average_into, clip_gradients, ema_decay, flat_values, initialize, named_weights, with_values,
 };
+use super::running::SharedTraining;
 use super::stage::{Recipe, Steering};
 use crate::error::Error;
 
@@ -55,6 +57,8 @@ pub struct Course<R: Recipe> {
     average: Option<(f64, f64)>,
     /// Optimiser steps taken.
     pub steps: u64,
+    /// What several devices share.
+    shared: Option<Arc<SharedTraining>>,
     /// Where the gradient norms go.
     pub norms: Norms,
     /// Where errors go.
@@ -70,6 +74,7 @@ impl<R: Recipe> Clone for Course<R> {
             longest: self.longest,
             average: self.average,
             steps: self.steps,
+            shared: self.shared.clone(),
             norms: Arc::clone(&self.norms),
             failure: self.failure.clone(),
             // Another copy has other weights.
@@ -109,13 +114,14 @@ impl<R: Recipe> TraineeOf<R> {
         steering: &Steering,
         network: R::Model,
         steps: u64,
+        devices: &DeviceSet,
         failure: Failure,
     ) -> Self {
         initialize(&network);
         let average = match steering.average {
             Some(_) => flat_values(&network)
                 .into_iter()
-                .map(|values| Param::initialized(ParamId::new(), values))
+                .map(|values| Param::initialized(ParamId::new(), Tensor::from_inner(values)))
                 .collect(),
             None => Vec::new(),
         };
@@ -127,6 +133,7 @@ impl<R: Recipe> TraineeOf<R> {
                 longest: steering.clip_norm.unwrap_or(f64::INFINITY),
                 average: steering.average,
                 steps,
+                shared: SharedTraining::between(devices).map(Arc::new),
                 norms: Norms::default(),
                 failure,
                 judge: OnceLock::new(),
@@ -139,7 +146,11 @@ impl<R: Recipe> TraineeOf<R> {
         if self.average.is_empty() {
             return self.network.valid();
         }
-        let values: Vec<_> = self.average.iter().map(Param::val).collect();
+        let values: Vec<_> = self
+            .average
+            .iter()
+            .map(|values| values.val().without_autodiff())
+            .collect();
         with_values(self.network.valid(), &values)
     }
 
@@ -210,10 +221,16 @@ where
             share: pass.share,
             times: [pass.epoch_started; 2],
         };
-        let grads = match recipe.loss(&self.network, pass.batch, pass.share) {
+        let shared = self.course.shared.as_ref();
+        let private = shared.map(|shared| shared.private(&self.network));
+        let network = private.as_ref().unwrap_or(&self.network);
+        let grads = match recipe.loss(network, pass.batch, pass.share) {
             Ok(loss) => {
                 report.unread = Some(loss.terms.without_autodiff());
-                GradientsParams::from_grads(loss.total.backward(), &self.network)
+                if let Some((shared, private)) = shared.zip(private.as_ref()) {
+                    shared.keep(private);
+                }
+                GradientsParams::from_grads(loss.total.backward(), network)
             }
             Err(error) => {
                 self.course.failure.set(error);
@@ -248,7 +265,11 @@ where
             .unwrap_or_else(PoisonError::into_inner);
         norms.push(norm);
         drop(norms);
-        let mut trained = optimizer.step(rate, self, grads);
+        let mut settled = self;
+        if let Some(shared) = settled.course.shared.clone() {
+            settled.network = shared.settle(settled.network);
+        }
+        let mut trained = optimizer.step(rate, settled, grads);
         trained.course.steps += 1;
         if let Some((longest, ramp)) = trained.course.average {
             let decay = ema_decay(longest, ramp, trained.course.steps);
@@ -256,7 +277,12 @@ where
             trained.average = std::mem::take(&mut trained.average)
                 .into_iter()
                 .zip(values)
-                .map(|(average, value)| average.map(|average| average_into(average, value, decay)))
+                .map(|(average, value)| {
+                    average.map(|average| {
+                        let average = average.without_autodiff();
+                        Tensor::from_inner(average_into(average, value, decay))
+                    })
+                })
                 .collect();
         }
         trained

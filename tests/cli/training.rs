@@ -120,7 +120,8 @@ fn a_run_that_is_killed_again_and_again_learns_what_an_uninterrupted_one_does() 
 
 fn assert_learnt_alike(wanted: &[(String, Vec<u8>)], got: &[(String, Vec<u8>)], kills: u32) {
     for ((name, wanted), (_, got)) in wanted.iter().zip(got) {
-        let text = |bytes: &[u8]| String::from_utf8_lossy(&bytes[..bytes.len().min(2000)]).into_owned();
+        let text =
+            |bytes: &[u8]| String::from_utf8_lossy(&bytes[..bytes.len().min(2000)]).into_owned();
         assert!(
             wanted == got,
             "{name} differs after {kills} kills: {}\n{}",

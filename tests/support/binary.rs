@@ -67,6 +67,13 @@ impl Workplace {
     pub fn line(&self, line: &str) -> Outcome {
         self.run(line.split_whitespace())
     }
+
+    /// Runs a line of arguments with a variable in its environment.
+    pub fn line_with(&self, line: &str, (name, value): (&str, &str)) -> Outcome {
+        let mut command = self.command();
+        command.args(line.split_whitespace()).env(name, value);
+        Outcome::of(command.output().unwrap())
+    }
 }
 
 impl Outcome {
