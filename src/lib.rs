@@ -89,4 +89,6 @@ pub mod validate;
 pub mod weights;
 pub mod world;
 
+pub use device::DeviceName;
 pub use error::{Error, Result};
+pub use pipeline::{PredictOptions, StereoRanger, Vehicle};

@@ -136,7 +136,7 @@ mod tests {
             .wrapping_mul(0x9E37_79B9_7F4A_7C15)
             .wrapping_add((y as u64).wrapping_mul(0xBF58_476D_1CE4_E5B9));
         let mixed = (mixed ^ mixed >> 29).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (mixed ^ mixed >> 32) as u32 as f64 / f64::from(u32::MAX)
+        f64::from((mixed ^ mixed >> 32) as u32) / f64::from(u32::MAX)
     }
 
     /// Both images of a textured wall, which the right camera sees `disparity` pixels further left.
@@ -166,7 +166,7 @@ mod tests {
         }
     }
 
-    fn sides(found: [Vec<Detection>; 2], single_sided: SingleSided) -> Sides {
+    fn sides(found: &[Vec<Detection>; 2], single_sided: SingleSided) -> Sides {
         let [left, right] = wall(16);
         let options = options(PairingMode::Detect, single_sided);
         Sides::new([&left, &right], found.to_vec(), &rig(), &options)
@@ -178,14 +178,14 @@ mod tests {
             ([vec![detection(160.0, 0.8)], vec![]], DetectedIn::Left),
             ([vec![], vec![detection(144.0, 0.8)]], DetectedIn::Right),
         ] {
-            let Sides { pairs, alone } = sides(found.clone(), SingleSided::Search);
+            let Sides { pairs, alone } = sides(&found, SingleSided::Search);
             assert_eq!(pairs.len(), 1, "{flag:?}");
             let Pair { left, right, .. } = pairs[0];
             assert_eq!((pairs[0].detected_in, pairs[0].score), (flag, 0.8));
             assert!((left.box_pixel.center()[0] - 160.0).abs() < 0.2, "{left:?}");
             assert!((right.center()[0] - 144.0).abs() < 0.2, "{right:?}");
             assert!(alone.iter().all(Vec::is_empty));
-            assert!(sides(found, SingleSided::Drop).pairs.is_empty());
+            assert!(sides(&found, SingleSided::Drop).pairs.is_empty());
         }
     }
 
@@ -196,7 +196,7 @@ mod tests {
             vec![detection(160.0, 0.8), detection(163.0, 0.4)],
             vec![detection(144.0, 0.6)],
         ];
-        let pairs = sides(found, SingleSided::Search).pairs;
+        let pairs = sides(&found, SingleSided::Search).pairs;
         assert_eq!(pairs.len(), 1, "{pairs:?}");
         assert_eq!(pairs[0].detected_in, DetectedIn::Both);
         assert!((pairs[0].score - 0.7).abs() < 1e-6);
