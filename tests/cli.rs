@@ -9,10 +9,14 @@ mod formats;
 mod generate;
 #[path = "cli/pairing.rs"]
 mod pairing;
+#[path = "cli/predict.rs"]
+mod predict;
 #[path = "cli/report.rs"]
 mod report;
 #[path = "cli/training.rs"]
 mod training;
+#[path = "support/untrained.rs"]
+mod untrained;
 
 use std::fs;
 use std::path::Path;

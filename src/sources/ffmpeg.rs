@@ -120,12 +120,12 @@ fn command<S: AsRef<OsStr>>(program: &str, args: impl IntoIterator<Item = S>) ->
 
 /// The arguments that keep each frame as it is: neither doubled nor dropped for a constant rate.
 /// They have had another name since version 5.1.
-fn passthrough() -> Result<[&'static str; 2]> {
+fn passthrough(needed_for: &str) -> Result<[&'static str; 2]> {
     let output = Command::new("ffmpeg")
         .arg("-version")
         .stdin(Stdio::null())
         .output()
-        .map_err(|error| not_started(&Command::new("ffmpeg"), "reading a video", error))?;
+        .map_err(|error| not_started(&Command::new("ffmpeg"), needed_for, error))?;
     let text = String::from_utf8_lossy(&output.stdout);
     let is_old = text
         .strip_prefix("ffmpeg version ")

@@ -14,8 +14,11 @@ use crate::imaging::MAX_SIDE_PX;
 /// The largest frame, bytes: as of images.
 const MAX_FRAME_BYTES: u64 = 1 << 30;
 
-/// Share of the frames that a header promises of which this many may be missing: counts of some
-/// containers are estimates, and edit lists hide a few frames.
+/// What the programs are needed for.
+const NEEDED_FOR: &str = "reading a video";
+
+/// This share of the frames that a header promises may be missing: counts of some containers are
+/// estimates, and edit lists hide a few frames.
 const MISSING: f64 = 0.05;
 
 /// What `ffprobe` says of a video.
@@ -65,7 +68,7 @@ pub(in crate::sources) fn probe(path: &Path) -> Result<VideoInfo> {
         .stdin(Stdio::null());
     let output = probe
         .output()
-        .map_err(|error| not_started(&probe, "reading a video", error))?;
+        .map_err(|error| not_started(&probe, NEEDED_FOR, error))?;
     let unusable = |problem: String| {
         Error::value(
             format!("video {}", path.display()),
@@ -134,13 +137,13 @@ impl Decoder {
             .args(["-noautorotate", "-i"])
             .arg(file_argument(path))
             .args(["-map", "0:v:0"])
-            .args(passthrough()?)
+            .args(passthrough(NEEDED_FOR)?)
             // Frames stay as large as the first one, whatever comes.
             .args(["-s", &format!("{width}x{height}")])
             .args(["-f", "rawvideo", "-pix_fmt", "rgb24", "pipe:1"])
             .stdin(Stdio::null())
             .stdout(Stdio::piped());
-        let mut program = Program::start(decode, "reading a video")?;
+        let mut program = Program::start(decode, NEEDED_FOR)?;
         let Some(pixels) = program.child.stdout.take() else {
             return Err(Error::io("read", path)(io::ErrorKind::BrokenPipe.into()));
         };

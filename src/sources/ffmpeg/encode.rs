@@ -14,6 +14,9 @@ use crate::files;
 /// Kinds of video files that are written, each with FFmpeg's usual encoder of it.
 const ENDINGS: [&str; 5] = ["mp4", "mkv", "mov", "webm", "avi"];
 
+/// What the program is needed for.
+const NEEDED_FOR: &str = "writing a video";
+
 /// What a video is to be.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VideoEncoding {
@@ -66,7 +69,7 @@ impl VideoWriter {
             ));
         }
         // Before the work rather than at its first frame.
-        super::passthrough()?;
+        super::passthrough(NEEDED_FOR)?;
         Ok(Self {
             path: path.to_path_buf(),
             encoding,
@@ -126,7 +129,7 @@ impl VideoWriter {
             .arg(file_argument(&file))
             .stdin(Stdio::piped())
             .stdout(Stdio::null());
-        let mut program = Program::start(encode, "writing a video")?;
+        let mut program = Program::start(encode, NEEDED_FOR)?;
         Ok(Running {
             pixels: program.child.stdin.take(),
             program,
