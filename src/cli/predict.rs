@@ -68,7 +68,12 @@ pub struct PredictArgs {
     classes: Vec<String>,
     /// Only vehicles whose box in the left image has its centre in this polygon: corners "x,y x,y
     /// x,y" in pixels, or a file of them
-    #[arg(long, value_name = "POLYGON", help_heading = "Filters")]
+    #[arg(
+        long,
+        value_name = "POLYGON",
+        allow_hyphen_values = true,
+        help_heading = "Filters"
+    )]
     roi: Option<String>,
     /// How boxes of the right image are found: `detect` runs the detector on both images and assigns
     /// its boxes to each other, `search` runs it on the left image and looks for each box's pixels

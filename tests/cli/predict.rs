@@ -131,7 +131,8 @@ fn broken_frames_are_named_with_their_reasons_and_the_others_are_measured() {
     RgbImage::new(48, 27).save(data("right_00070.png")).unwrap();
     let mut huge = whole.clone();
     huge[16..24].copy_from_slice(&[0, 1, 0, 0, 0, 1, 0, 0]);
-    huge[29..33].copy_from_slice(&crc32fast::hash(&huge[12..29]).to_be_bytes());
+    let sum = crc32fast::hash(&huge[12..29]);
+    huge[29..33].copy_from_slice(&sum.to_be_bytes());
     fs::write(data("left_00085.png"), huge).unwrap();
     let broken = [
         ("00010", "empty"),
@@ -212,7 +213,7 @@ fn where_no_frame_can_be_used_it_is_an_error() {
 #[test]
 fn a_frame_without_vehicles_has_an_empty_list() {
     let place = with_pairs(2);
-    let outcome = place.line("predict --run run data --csv -");
+    let outcome = place.line("predict --run run data --confidence 1 --csv -");
     assert!(
         outcome.stderr.contains("2 frames without any"),
         "{}",
@@ -223,7 +224,7 @@ fn a_frame_without_vehicles_has_an_empty_list() {
         table.starts_with("frame,") && table.lines().count() == 1,
         "{table}"
     );
-    let quiet = place.line("--quiet predict --run run data");
+    let quiet = place.line("--quiet predict --run run data --confidence 1");
     assert_eq!(quiet.stderr, "");
     assert!(
         lines(&quiet.success())
@@ -279,7 +280,7 @@ fn hostile_settings_are_refused_before_the_work() {
     for (args, words) in [
         ("--confidence NaN", &["from 0 to 1"][..]),
         ("--iou 1.5", &["1.5", "from 0 to 1"]),
-        ("--iou -0.1", &["-0.1"]),
+        ("--iou=-0.1", &["-0.1", "from 0 to 1"]),
         ("--max-detections 0", &["--max-detections"]),
         ("--max-detections 99999999999", &["--max-detections"]),
         ("--batch 0", &["--batch"]),
@@ -300,7 +301,7 @@ fn hostile_settings_are_refused_before_the_work() {
         ("--video seen", &[".mp4"]),
         ("--jsonl - --csv -", &["standard output"]),
         ("--jsonl a --csv a", &["two kinds"]),
-        ("--jsonl file/a", &["file/a"]),
+        ("--jsonl file/b/a", &["file/b"]),
         ("--annotate file", &["file", "folder"]),
     ] {
         let outcome = place.line(&format!("predict --run run data {args}"));
