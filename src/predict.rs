@@ -188,19 +188,8 @@ pub fn predict(
         }
         let taken: Vec<StereoFrame> = frames.by_ref().take(batch.max(1)).collect();
         let count = taken.len() as u64;
-        for (frame, found) in measured(ranger, taken, &mut summary) {
-            let images = frame
-                .images
-                .as_ref()
-                .ok()
-                .map(|[left, right]| [left, right]);
-            let record = FrameRecord {
-                outcome: Outcome::new(found),
-                frame: frame.name,
-                left: frame.origins[0].clone(),
-                right: frame.origins[1].clone(),
-                time_s: frame.time_s,
-            };
+        for (record, images) in measured(ranger, taken, &mut summary) {
+            let images = images.as_ref().map(|[left, right]| [left, right]);
             summary.count(&record);
             let writing = Instant::now();
             for sink in sinks.iter_mut() {
@@ -218,13 +207,13 @@ pub fn predict(
     Ok(summary)
 }
 
-/// Frames with what is found in them. Where a batch fails, its frames are tried one by one, so that
-/// each answers for itself.
+/// What is said of each frame, and its images. Where a batch fails, its frames are tried one by one,
+/// so that each answers for itself.
 fn measured(
     ranger: &StereoRanger,
-    mut frames: Vec<StereoFrame>,
+    frames: Vec<StereoFrame>,
     summary: &mut PredictSummary,
-) -> Vec<(StereoFrame, Result<Findings>)> {
+) -> Vec<(FrameRecord, Option<[RgbImage; 2]>)> {
     let pairs: Vec<[&RgbImage; 2]> = frames
         .iter()
         .filter_map(|frame| frame.images.as_ref().ok())
@@ -251,23 +240,26 @@ fn measured(
             .collect(),
     };
     let mut found = found.into_iter();
-    for frame in &frames {
+    let told = frames.into_iter().map(|frame| {
         summary.read += frame.read;
-    }
-    let outcomes: Vec<Result<Findings>> = frames
-        .iter_mut()
-        .map(|frame| match &mut frame.images {
-            Ok(_) => found.next().unwrap_or_else(|| Ok(Findings::default())),
-            // The reason goes to the record; that there is one stays with the frame.
-            Err(reason) => Err(std::mem::replace(reason, missing())),
-        })
-        .collect();
-    frames.into_iter().zip(outcomes).collect()
-}
-
-/// Stands for a reason that was told.
-fn missing() -> crate::error::Error {
-    crate::error::Error::value("frame", "could not be read", "see its record")
+        let (images, findings) = match frame.images {
+            Ok(images) => (
+                Some(images),
+                found.next().unwrap_or_else(|| Ok(Findings::default())),
+            ),
+            Err(reason) => (None, Err(reason)),
+        };
+        let [left, right] = frame.origins;
+        let record = FrameRecord {
+            frame: frame.name,
+            left,
+            right,
+            time_s: frame.time_s,
+            outcome: Outcome::new(findings),
+        };
+        (record, images)
+    });
+    told.collect()
 }
 
 /// Where a file of a frame goes in a folder.
