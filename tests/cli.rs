@@ -17,6 +17,8 @@ mod report;
 mod training;
 #[path = "support/untrained.rs"]
 mod untrained;
+#[path = "cli/videos.rs"]
+mod videos;
 
 use std::fs;
 use std::path::Path;

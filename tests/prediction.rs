@@ -106,8 +106,17 @@ fn without_vehicles_the_list_is_empty() {
 #[test]
 fn filters_leave_what_is_wanted() {
     let folder = tempfile::tempdir().unwrap();
-    let ranger = ranger(&folder).with_options(all(PairingMode::Search));
-    let [left, right] = &pairs(&[[64, 36]])[0];
+    // Large enough that boxes differ, and few of them.
+    write_run(folder.path(), 320);
+    let options = PredictOptions {
+        confidence: 3e-3,
+        iou: 0.6,
+        ..all(PairingMode::Detect)
+    };
+    let ranger = StereoRanger::load(folder.path(), &DeviceName::FLEX.open().unwrap())
+        .unwrap()
+        .with_options(options);
+    let [left, right] = &pairs(&[[320, 180]])[0];
     let found = |filter: VehicleFilter| {
         let ranger = ranger.clone().with_filter(filter).unwrap();
         ranger.estimate(left, right)
@@ -136,7 +145,7 @@ fn filters_leave_what_is_wanted() {
     }
 
     let x = everything[0].left.center()[0];
-    let beside = format!("0,0 {x},0 {x},36 0,36");
+    let beside = format!("0,0 {x},0 {x},180 0,180");
     let region = |text: &str| VehicleFilter {
         region: Some(text.parse().unwrap()),
         ..VehicleFilter::default()
@@ -144,8 +153,8 @@ fn filters_leave_what_is_wanted() {
     let inside = found(region(&beside)).unwrap();
     assert!(inside.iter().all(|vehicle| vehicle.left.center()[0] < x));
     assert!(inside.len() < everything.len());
-    let message = found(region("100,0 200,0 200,36")).unwrap_err().to_string();
-    assert!(message.contains("64x36"), "{message}");
+    let message = found(region("400,0 500,0 500,36")).unwrap_err().to_string();
+    assert!(message.contains("320x180"), "{message}");
 }
 
 #[test]

@@ -12,15 +12,15 @@ use super::untrained::{texture, write_run};
 use super::{Outcome, Workplace, files_below};
 
 /// Everything that networks which never learnt have any idea of, two vehicles at most.
-const SEES: &str = "predict --run run --confidence 0.0001 --max-detections 2";
+pub const SEES: &str = "predict --run run --confidence 0.0001 --max-detections 2";
 
 /// Left and right image of a pair.
-fn pair(number: u32) -> [RgbImage; 2] {
+pub fn pair(number: u32) -> [RgbImage; 2] {
     [0, 2].map(|shift| texture(64, 36, number, shift))
 }
 
 /// A place with a run of fresh networks and a folder `data` of so many pairs.
-fn with_pairs(count: u32) -> Workplace {
+pub fn with_pairs(count: u32) -> Workplace {
     let place = Workplace::new();
     write_run(&place.path("run"), 64);
     fs::create_dir(place.path("data")).unwrap();
@@ -34,25 +34,25 @@ fn with_pairs(count: u32) -> Workplace {
     place
 }
 
-fn lines(text: &str) -> Vec<Value> {
+pub fn lines(text: &str) -> Vec<Value> {
     text.lines()
         .map(|line| serde_json::from_str(line).unwrap())
         .collect()
 }
 
 /// What was found in each frame.
-fn vehicles(lines: &[Value]) -> Vec<&Value> {
+pub fn vehicles(lines: &[Value]) -> Vec<&Value> {
     lines.iter().map(|line| &line["vehicles"]).collect()
 }
 
-fn save(place: &Workplace, name: &str, image: &RgbImage) {
+pub fn save(place: &Workplace, name: &str, image: &RgbImage) {
     let path = place.path(name);
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     image.save(path).unwrap();
 }
 
 /// Both images of a pair in one picture.
-fn stacked([left, right]: &[RgbImage; 2], is_side_by_side: bool) -> RgbImage {
+pub fn stacked([left, right]: &[RgbImage; 2], is_side_by_side: bool) -> RgbImage {
     let (width, height) = left.dimensions();
     let (x, y) = if is_side_by_side {
         (width, 0)
@@ -356,143 +356,4 @@ fn ctrl_c_keeps_what_was_done() {
     let names = names.map(|entry| entry.unwrap().file_name());
     let is_hidden = |name: std::ffi::OsString| name.to_string_lossy().starts_with('.');
     assert!(!names.into_iter().any(is_hidden));
-}
-
-#[test]
-fn without_ffmpeg_a_video_is_refused_with_the_way_to_get_it() {
-    let place = with_pairs(1);
-    place.write("a.mp4", "x");
-    for args in [
-        "a.mp4 --layout side-by-side",
-        "a.mp4 a.mp4",
-        "data --video seen.mp4",
-    ] {
-        let mut command = place.command();
-        let line = format!("predict --run run {args}");
-        command.args(line.split(' ')).env("PATH", "/nowhere");
-        Outcome::of(command.output().unwrap()).error_says(&["not installed", "install FFmpeg"]);
-    }
-}
-
-/// Where `ffmpeg` is missing, says so.
-fn has_ffmpeg(test: &str) -> bool {
-    let found = ["ffmpeg", "ffprobe"].iter().all(|program| {
-        let mut command = Command::new(program);
-        command
-            .arg("-version")
-            .stdout(Stdio::null())
-            .status()
-            .is_ok()
-    });
-    if !found {
-        println!("skipped {test}: no ffmpeg");
-    }
-    found
-}
-
-/// A video of the numbered pictures of a folder, with nothing lost.
-fn make_video(place: &Workplace, pictures: &str, count: u32, video: &str) {
-    let status = Command::new("ffmpeg")
-        .args(["-v", "error", "-y", "-framerate", "5", "-i", pictures])
-        .args(["-frames:v", &count.to_string()])
-        .args(["-c:v", "ffv1", "-pix_fmt", "bgr0", video])
-        .current_dir(place.path(""))
-        .status()
-        .unwrap();
-    assert!(status.success(), "{video}");
-}
-
-#[test]
-fn videos_give_the_results_of_their_frames() {
-    if !has_ffmpeg("videos") {
-        return;
-    }
-    let place = with_pairs(6);
-    for number in 0..6 {
-        save(
-            &place,
-            &format!("wide/{number}.png"),
-            &stacked(&pair(number), true),
-        );
-    }
-    make_video(&place, "data/left_%05d.png", 6, "left.mkv");
-    make_video(&place, "data/right_%05d.png", 6, "right.mkv");
-    make_video(&place, "wide/%d.png", 6, "wide.avi");
-    let run = |input: &str| place.line(&format!("{SEES} {input}")).success();
-    let expected = lines(&run("data"));
-    for input in ["left.mkv right.mkv", "wide.avi --layout side-by-side"] {
-        let found = lines(&run(input));
-        assert_eq!(vehicles(&found), vehicles(&expected), "{input}");
-        assert_eq!(found[3]["frame"], "000003");
-        assert!(
-            (found[3]["time_s"].as_f64().unwrap() - 0.6).abs() < 1e-6,
-            "{input}"
-        );
-    }
-
-    // And back into a video.
-    for seen in ["seen.mp4", "seen.mkv"] {
-        run(&format!("left.mkv right.mkv --video {seen}"));
-        let again = place.line(&format!("predict --run run {seen} --layout side-by-side"));
-        let again = lines(&again.success());
-        assert_eq!(again.len(), 6, "{seen}");
-        assert!((again[5]["time_s"].as_f64().unwrap() - 1.0).abs() < 1e-3);
-    }
-    run("data --video slow.avi --fps 2");
-    let slow = place.line("predict --run run slow.avi --layout side-by-side");
-    assert_eq!(lines(&slow.success())[2]["time_s"], 1.0);
-}
-
-#[test]
-fn broken_videos_give_what_can_be_read_and_say_so() {
-    if !has_ffmpeg("broken videos") {
-        return;
-    }
-    let place = with_pairs(30);
-    make_video(&place, "data/left_%05d.png", 30, "left.avi");
-    make_video(&place, "data/right_%05d.png", 30, "right.avi");
-    make_video(&place, "data/right_%05d.png", 20, "short.avi");
-    let whole = fs::read(place.path("right.avi")).unwrap();
-    place.write("cut.avi", &whole[..whole.len() * 2 / 3]);
-    place.write("text.mkv", "no video");
-    place.write("empty.mp4", "");
-
-    let outcome = place.line("predict --run run left.avi short.avi");
-    for words in ["short.avi", "ends after 20 frames", "left.avi goes on"] {
-        assert!(
-            outcome.stderr.contains(words),
-            "{words}: {}",
-            outcome.stderr
-        );
-    }
-    let found = lines(&outcome.success());
-    assert_eq!(found.len(), 21);
-    assert!(found[19]["vehicles"].is_array() && found[20]["error"].is_string());
-
-    let outcome = place.line("predict --run run left.avi cut.avi");
-    let is_told = outcome.stderr.contains("cut.avi") && outcome.stderr.contains("ends after");
-    assert!(is_told, "{}", outcome.stderr);
-    let found = lines(&outcome.success());
-    assert!((10..30).contains(&found.len()), "{}", found.len());
-    place
-        .line("predict --run run left.avi cut.avi --strict --jsonl a")
-        .error_says(&["--strict"]);
-
-    for (input, words) in [
-        ("text.mkv text.mkv", &["text.mkv", "cannot be read"][..]),
-        (
-            "empty.mp4 --layout top-bottom",
-            &["empty.mp4", "cannot be read"],
-        ),
-        ("nowhere.mp4 left.avi", &["nowhere.mp4", "check the path"]),
-    ] {
-        place
-            .line(&format!("predict --run run {input}"))
-            .error_says(words);
-    }
-    save(&place, "small/0.png", &RgbImage::new(48, 28));
-    make_video(&place, "small/%d.png", 1, "small.avi");
-    place
-        .line("predict --run run left.avi small.avi")
-        .error_says(&["64x36", "48x28"]);
 }
