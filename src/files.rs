@@ -1,8 +1,10 @@
 //! Files written whole or not at all, and errors that name the file.
 
 use std::fs;
-use std::io::Write as _;
-use std::path::Path;
+use std::io::{BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
 
 use crate::error::{Error, Result};
 
@@ -20,23 +22,94 @@ pub const TEMPORARY_PREFIX: &str = ".twinsight-";
 /// [`Error::Io`] naming `path` when the folder is missing, read-only or full.
 pub fn write_atomically(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
     let path = path.as_ref();
+    let mut file = temporary_beside(path, "")?;
+    file.write_all(bytes).map_err(Error::io("write", path))?;
+    file.persist(path)
+        .map_err(|failure| Error::io("write", path)(failure.error))?;
+    Ok(())
+}
+
+/// A temporary file in the folder of `path`, to be renamed to it; its name ends in `suffix`.
+pub(crate) fn temporary_beside(path: &Path, suffix: &str) -> Result<NamedTempFile> {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
     let mut builder = tempfile::Builder::new();
-    builder.prefix(TEMPORARY_PREFIX);
+    builder.prefix(TEMPORARY_PREFIX).suffix(suffix);
     // Temporary files are private by default; what is written here is an ordinary file, readable
     // by whomever the user's umask lets read it.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder
+    builder
         .tempfile_in(folder)
-        .map_err(Error::io("write", path))?;
-    file.write_all(bytes).map_err(Error::io("write", path))?;
-    file.persist(path)
-        .map_err(|failure| Error::io("write", path)(failure.error))?;
-    Ok(())
+        .map_err(Error::io("write", path))
+}
+
+/// A file that grows under a temporary name and gets its own when it is finished; a pipe or device
+/// is written to as it is. Dropped before it is finished, it leaves nothing behind.
+#[derive(Debug)]
+pub struct GrowingFile {
+    path: PathBuf,
+    target: Target,
+}
+
+#[derive(Debug)]
+enum Target {
+    Temporary(BufWriter<NamedTempFile>),
+    Device(BufWriter<fs::File>),
+}
+
+impl GrowingFile {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming `path` when its folder is missing, read-only or full.
+    pub fn create(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let is_replaceable = fs::metadata(path).map_or(true, |metadata| metadata.is_file());
+        let target = if is_replaceable {
+            Target::Temporary(BufWriter::new(temporary_beside(path, "")?))
+        } else {
+            let device = fs::OpenOptions::new().write(true).open(path);
+            Target::Device(BufWriter::new(device.map_err(Error::io("write", path))?))
+        };
+        Ok(Self {
+            path: path.to_path_buf(),
+            target,
+        })
+    }
+
+    /// Adds to the end.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
+    pub fn write(&mut self, bytes: &[u8]) -> Result<()> {
+        let written = match &mut self.target {
+            Target::Temporary(file) => file.write_all(bytes),
+            Target::Device(file) => file.write_all(bytes),
+        };
+        written.map_err(Error::io("write", &self.path))
+    }
+
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
+    pub fn finish(self) -> Result<()> {
+        let path = self.path;
+        match self.target {
+            Target::Temporary(file) => {
+                let file = file
+                    .into_inner()
+                    .map_err(|failure| Error::io("write", &path)(failure.into_error()))?;
+                file.persist(&path)
+                    .map_err(|failure| Error::io("write", &path)(failure.error))?;
+            }
+            Target::Device(mut file) => file.flush().map_err(Error::io("write", &path))?,
+        }
+        Ok(())
+    }
 }
 
 /// Length and check sum of a file's content, to notice later that it was damaged.
@@ -102,6 +175,24 @@ mod tests {
         assert!(write_atomically(&path, b"x").is_err());
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
         assert_eq!(fs::read_to_string(path.join("inside")).unwrap(), "kept");
+    }
+
+    #[test]
+    fn a_growing_file_has_its_name_when_it_is_finished_and_otherwise_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lines.txt");
+        fs::write(&path, "old").unwrap();
+        for finished in [false, true] {
+            let mut file = GrowingFile::create(&path).unwrap();
+            file.write(b"one\n").unwrap();
+            file.write(b"two\n").unwrap();
+            assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+            if finished {
+                file.finish().unwrap();
+            }
+        }
+        assert_eq!(fs::read_to_string(&path).unwrap(), "one\ntwo\n");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[cfg(unix)]

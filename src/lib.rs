@@ -23,6 +23,9 @@
 //! metres                                              [`pipeline::StereoRanger`]
 //! ```
 //!
+//! [`sources`] brings pairs from files, folders and videos, and [`predict`](mod@predict) takes what
+//! is found in them to files.
+//!
 //! [`world`] and [`render`] build and draw scenes, [`generate`](mod@generate) turns them into a
 //! dataset, [`formats`] brings foreign datasets into that format and out of it, [`dataset`] reads it, [`train`] trains both networks on it, and
 //! [`evaluate`](mod@evaluate) says how good they are with [`metrics`], and [`report`](mod@report)
@@ -58,7 +61,18 @@
 //! # }
 //! ```
 //!
-//! Distances from a trained run: see [`pipeline::StereoRanger`].
+//! Distances from a trained run, which is what most programs want:
+//!
+//! | | |
+//! |---|---|
+//! | [`DeviceName`] | what to compute on |
+//! | [`StereoRanger`] | a trained run: a pair of images, or a batch of them, to [`Vehicle`]s |
+//! | [`PredictOptions`], [`pipeline::VehicleFilter`] | what counts as a vehicle, and which are wanted |
+//! | [`imaging::load_pair`] | two image files |
+//! | [`sources::FrameSource`] | folders, numbered files and videos, read ahead |
+//! | [`predict::predict`] | all of a source to files of results, past broken frames |
+//! | [`progress::Progress`] | hears how far long work is, and may stop it |
+//! | [`Error`] | what went wrong, with the file or value and the remedy |
 
 pub mod annotate;
 pub mod dataset;
@@ -78,10 +92,12 @@ pub mod nn;
 mod page;
 pub mod pairing;
 pub mod pipeline;
+pub mod predict;
 pub mod progress;
 pub mod ranging;
 pub mod render;
 pub mod report;
+pub mod sources;
 pub mod train;
 pub mod validate;
 pub mod weights;
@@ -89,4 +105,6 @@ pub mod weights;
 pub mod worker;
 pub mod world;
 
+pub use device::DeviceName;
 pub use error::{Error, Result};
+pub use pipeline::{PredictOptions, StereoRanger, Vehicle};

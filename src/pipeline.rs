@@ -1,20 +1,29 @@
 //! The whole way from a stereo pair to metres: the library's front door.
 
+mod filter;
+mod sides;
+mod vehicle;
+
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use burn::tensor::Device;
 use image::RgbImage;
-use serde::{Deserialize, Serialize};
 
 use crate::detector::nms::NmsConfig;
 use crate::detector::{Detection, VehicleDetector};
 use crate::error::{Error, Result};
-use crate::geometry::{PixelBox, RigSettings, StereoRig};
-use crate::pairing::search::search;
-use crate::pairing::{PairingConfig, PairingMode, pair};
+use crate::geometry::{RigSettings, StereoRig};
+use crate::pairing::{PairingConfig, PairingMode};
 use crate::ranging::{DistanceEstimator, Sighting};
 use crate::train::StageFolder;
+
+use sides::Sides;
+use vehicle::class_name;
+
+pub use filter::VehicleFilter;
+pub(crate) use vehicle::Pair;
+pub use vehicle::{DetectedIn, Findings, SingleSided, StageTimes, Unmatched, Vehicle};
 
 /// What counts as a detection, and what as the same vehicle in both images.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,6 +36,8 @@ pub struct PredictOptions {
     pub pairing_mode: PairingMode,
     /// What the two boxes of a vehicle have in common.
     pub pairing: PairingConfig,
+    /// What becomes of a vehicle that the detector sees in one image only.
+    pub single_sided: SingleSided,
 }
 
 /// Usual least score of a detection: one image has to convince alone when the other one's box is
@@ -41,58 +52,7 @@ impl Default for PredictOptions {
             iou: nms.iou,
             pairing_mode: PairingMode::default(),
             pairing: PairingConfig::default(),
-        }
-    }
-}
-
-/// A vehicle seen in both images, and how far it is.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Vehicle {
-    /// Its box in the left image, pixels.
-    pub left: PixelBox,
-    /// Its box in the right image, pixels.
-    pub right: PixelBox,
-    /// Mean confidence of the two detections, 0 to 1; that of the left one alone with
-    /// [`PairingMode::Search`].
-    pub score: f32,
-    /// Class name.
-    pub class: String,
-    /// From the midpoint between the cameras to the centre of the vehicle, metres.
-    pub distance_m: f64,
-}
-
-/// Time spent in each part of an estimate.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct StageTimes {
-    /// Detector on both images, or with [`PairingMode::Search`] on the left one, with letterboxing
-    /// and suppression.
-    pub detect: Duration,
-    /// Pairing of left and right detections, or the search in the right image.
-    pub pair: Duration,
-    /// Crops and distance network.
-    pub range: Duration,
-}
-
-/// A vehicle before its distance is known.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Pair {
-    /// Its detection in the left image.
-    pub left: Detection,
-    /// Its box in the right image, pixels.
-    pub right: PixelBox,
-    /// As [`Vehicle::score`].
-    pub score: f32,
-}
-
-impl Pair {
-    /// The vehicle, now that its distance is known.
-    pub fn at(&self, distance_m: f64, classes: &[String]) -> Vehicle {
-        Vehicle {
-            left: self.left.box_pixel,
-            right: self.right,
-            score: self.score,
-            class: classes.get(self.left.class).cloned().unwrap_or_default(),
-            distance_m,
+            single_sided: SingleSided::default(),
         }
     }
 }
@@ -119,7 +79,18 @@ pub struct StereoRanger {
     detector: VehicleDetector,
     estimator: DistanceEstimator,
     options: PredictOptions,
+    filter: VehicleFilter,
+    /// Numbers of the filter's classes; None for all.
+    classes: Option<Vec<usize>>,
 }
+
+/// A service may share one ranger among its threads.
+const _: () = {
+    const fn assert_send_and_sync<T: Send + Sync>() {}
+    assert_send_and_sync::<StereoRanger>();
+    assert_send_and_sync::<Findings>();
+    assert_send_and_sync::<Error>();
+};
 
 impl StereoRanger {
     /// Loads the best weights of a run folder.
@@ -165,6 +136,8 @@ impl StereoRanger {
             detector,
             estimator,
             options: PredictOptions::default(),
+            filter: VehicleFilter::default(),
+            classes: None,
         })
     }
 
@@ -173,6 +146,16 @@ impl StereoRanger {
     pub fn with_options(mut self, options: PredictOptions) -> Self {
         self.options = options;
         self
+    }
+
+    /// The same, reporting wanted vehicles only.
+    ///
+    /// # Errors
+    /// A class that the networks do not know, or no vehicles at all.
+    pub fn with_filter(mut self, filter: VehicleFilter) -> Result<Self> {
+        self.classes = filter.class_numbers(&self.detector.header().classes)?;
+        self.filter = filter;
+        Ok(self)
     }
 
     /// What counts as a detection, and as a pair.
@@ -195,7 +178,7 @@ impl StereoRanger {
         &self.estimator
     }
 
-    /// Vehicles that are seen in both images, nearest first.
+    /// Vehicles with a box in both images, nearest first; an empty list where there are none.
     ///
     /// # Errors
     /// Images of different or impossible sizes, or a device that fails.
@@ -212,93 +195,160 @@ impl StereoRanger {
         left: &RgbImage,
         right: &RgbImage,
     ) -> Result<(Vec<Vehicle>, StageTimes)> {
-        if left.dimensions() != right.dimensions() {
-            return Err(Error::value(
-                format!(
-                    "pair of {:?} and {:?} pixels",
-                    left.dimensions(),
-                    right.dimensions()
-                ),
-                "the two images differ in size",
-                "give the left and the right image of one capture",
-            ));
+        let (mut findings, times) = self.find(&[[left, right]])?;
+        Ok((findings.pop().unwrap_or_default().vehicles, times))
+    }
+
+    /// [`StereoRanger::estimate`] of several pairs, left images first in each, at once: pairs of one
+    /// size that follow each other run as one batch, and so do the vehicles in all of them.
+    ///
+    /// Boxes and distances agree with those of single estimates but for rounding.
+    ///
+    /// # Errors
+    /// As [`StereoRanger::estimate`], for any of the pairs.
+    pub fn estimate_batch(&self, pairs: &[[&RgbImage; 2]]) -> Result<Vec<Vec<Vehicle>>> {
+        let (findings, _) = self.find(pairs)?;
+        Ok(findings.into_iter().map(|found| found.vehicles).collect())
+    }
+
+    /// [`StereoRanger::estimate_batch`] with all findings, also saying where the time went.
+    ///
+    /// # Errors
+    /// As [`StereoRanger::estimate_batch`].
+    pub fn find(&self, pairs: &[[&RgbImage; 2]]) -> Result<(Vec<Findings>, StageTimes)> {
+        for [left, right] in pairs {
+            if left.dimensions() != right.dimensions() {
+                return Err(Error::value(
+                    format!(
+                        "pair of {:?} and {:?} pixels",
+                        left.dimensions(),
+                        right.dimensions()
+                    ),
+                    "the two images differ in size",
+                    "give the left and the right image of one capture",
+                ));
+            }
         }
+        let mut findings = Vec::with_capacity(pairs.len());
+        let mut times = StageTimes::default();
+        for group in pairs.chunk_by(|a, b| a[0].dimensions() == b[0].dimensions()) {
+            findings.append(&mut self.find_in_group(group, &mut times)?);
+        }
+        Ok((findings, times))
+    }
+
+    /// Pairs of one size.
+    fn find_in_group(
+        &self,
+        pairs: &[[&RgbImage; 2]],
+        times: &mut StageTimes,
+    ) -> Result<Vec<Findings>> {
         let started = Instant::now();
         let nms = NmsConfig {
             confidence: self.options.confidence,
             iou: self.options.iou,
             ..NmsConfig::prediction()
         };
-        let images = match self.options.pairing_mode {
-            PairingMode::Detect => &[left, right][..],
-            PairingMode::Search => &[left],
+        let sides = match self.options.pairing_mode {
+            PairingMode::Detect => 2,
+            PairingMode::Search => 1,
         };
-        let found = self.detector.detect(images, &nms)?;
-        let detect = started.elapsed();
+        let images: Vec<&RgbImage> = pairs
+            .iter()
+            .flat_map(|pair| pair.iter().copied().take(sides))
+            .collect();
+        let mut found = self.detector.detect(&images, &nms)?.into_iter();
+        times.detect += started.elapsed();
 
         let started = Instant::now();
-        let rig = self.rig_for(left.dimensions())?;
-        let pairs = self.pairs([left, right], found, &rig);
-        let paired = started.elapsed();
+        let (width, height) = pairs[0][0].dimensions();
+        if let Some(region) = &self.filter.region
+            && !region.reaches_into(width, height)
+        {
+            return Err(Error::value(
+                "region of interest",
+                format!("lies outside of images of {width}x{height} pixels"),
+                "give its corners in pixels of the left image",
+            ));
+        }
+        let rig = self.rig_for((width, height))?;
+        let sorted: Vec<Sides> = pairs
+            .iter()
+            .map(|images| {
+                let mut found: Vec<Vec<Detection>> = found.by_ref().take(sides).collect();
+                if let Some(classes) = &self.classes {
+                    for side in &mut found {
+                        side.retain(|detection| classes.contains(&detection.class));
+                    }
+                }
+                let sorted = Sides::new(*images, found, &rig, &self.options);
+                Sides {
+                    pairs: self.filter.pairs(sorted.pairs),
+                    alone: sorted.alone,
+                }
+            })
+            .collect();
+        times.pair += started.elapsed();
 
         let started = Instant::now();
         let sightings: Vec<Sighting> = pairs
             .iter()
-            .map(|pair| Sighting {
-                images: [left, right],
-                boxes: [pair.left.box_pixel, pair.right],
+            .zip(&sorted)
+            .flat_map(|(images, sides)| {
+                sides.pairs.iter().map(|pair| Sighting {
+                    images: *images,
+                    boxes: [pair.left.box_pixel, pair.right],
+                })
             })
             .collect();
-        let distances_m = self.estimator.estimate(&sightings, &rig)?;
-        let classes = &self.detector.header().classes;
-        let mut vehicles: Vec<Vehicle> = pairs
+        let mut distances_m = self.estimator.estimate(&sightings, &rig)?.into_iter();
+        let findings = sorted
             .into_iter()
+            .map(|sides| self.findings(sides, &mut distances_m))
+            .collect();
+        times.range += started.elapsed();
+        Ok(findings)
+    }
+
+    /// What is reported of one pair, given the distances of its vehicles.
+    fn findings(&self, sides: Sides, distances_m: &mut impl Iterator<Item = f64>) -> Findings {
+        let classes = &self.detector.header().classes;
+        let mut vehicles: Vec<Vehicle> = sides
+            .pairs
+            .iter()
             .zip(distances_m)
             .map(|(pair, distance_m)| pair.at(distance_m, classes))
             .collect();
         vehicles.sort_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
-        Ok((
+        let mut unmatched = Vec::new();
+        if self.options.single_sided == SingleSided::Keep {
+            let sides = [DetectedIn::Left, DetectedIn::Right]
+                .into_iter()
+                .zip(sides.alone);
+            for (detected_in, alone) in sides {
+                let alone = self.filter.detections(alone).into_iter();
+                unmatched.extend(alone.map(|detection| Unmatched {
+                    detected_in,
+                    box_pixel: detection.box_pixel,
+                    score: detection.score,
+                    class: class_name(detection.class, classes),
+                }));
+            }
+        }
+        Findings {
             vehicles,
-            StageTimes {
-                detect,
-                pair: paired,
-                range: started.elapsed(),
-            },
-        ))
+            unmatched,
+        }
     }
 
-    /// The right box of each left detection that has one, given what the detector found in the
-    /// images that it ran on.
+    /// The boxes in both images, given what the detector found in the images that it ran on.
     pub(crate) fn pairs(
         &self,
         images: [&RgbImage; 2],
         found: Vec<Vec<Detection>>,
         rig: &StereoRig,
     ) -> Vec<Pair> {
-        let mut found = found.into_iter();
-        let left = found.next().unwrap_or_default();
-        let config = &self.options.pairing;
-        match self.options.pairing_mode {
-            PairingMode::Detect => {
-                let right = found.next().unwrap_or_default();
-                let pairs = pair(&left, &right, rig, config).pairs;
-                let joined = |(l, r, _): (usize, usize, f64)| Pair {
-                    left: left[l],
-                    right: right[r].box_pixel,
-                    score: f32::midpoint(left[l].score, right[r].score),
-                };
-                pairs.into_iter().map(joined).collect()
-            }
-            PairingMode::Search => search(images, &left, rig, config)
-                .partners
-                .into_iter()
-                .map(|partner| Pair {
-                    left: left[partner.left],
-                    right: partner.box_pixel,
-                    score: left[partner.left].score,
-                })
-                .collect(),
-        }
+        Sides::new(images, found, rig, &self.options).pairs
     }
 
     /// The trained rig at another resolution of the same field of view.

@@ -9,10 +9,16 @@ mod formats;
 mod generate;
 #[path = "cli/pairing.rs"]
 mod pairing;
+#[path = "cli/predict.rs"]
+mod predict;
 #[path = "cli/report.rs"]
 mod report;
 #[path = "cli/training.rs"]
 mod training;
+#[path = "support/untrained.rs"]
+mod untrained;
+#[path = "cli/videos.rs"]
+mod videos;
 #[cfg(feature = "remote")]
 #[path = "cli/worker.rs"]
 mod worker;

@@ -7,7 +7,7 @@ use twinsight::dataset::Split;
 use twinsight::device::DeviceName;
 use twinsight::evaluate::{EvaluateRequest, evaluate, protocol_text};
 use twinsight::pairing::PairingMode;
-use twinsight::pipeline::PredictOptions;
+use twinsight::pipeline::{PredictOptions, SingleSided};
 use twinsight::{Error, Result};
 
 use super::{files, stdout, terminal, values};
@@ -43,7 +43,7 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "HOW", value_parser = values::pairing_mode(), default_value_t = PredictOptions::default().pairing_mode)]
     pairing: PairingMode,
     /// The pipeline's detections must score above this, 0 to 1
-    #[arg(long, value_parser = values::share, default_value_t = PredictOptions::default().confidence)]
+    #[arg(long, value_parser = values::share::<f32>, default_value_t = PredictOptions::default().confidence)]
     confidence: f32,
     /// Print a test's own table as well, of the test frames: `paper` is the published one, 108 frames
     /// at 15 to 200 m under four suns from three sides; frames that the dataset lacks are named
@@ -96,6 +96,8 @@ impl EvaluateArgs {
             options: PredictOptions {
                 confidence: self.confidence,
                 pairing_mode: self.pairing,
+                // As in the paper: with `detect`, both images must show the vehicle to the detector.
+                single_sided: SingleSided::Drop,
                 ..PredictOptions::default()
             },
             out: self.out.as_deref(),

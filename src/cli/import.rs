@@ -66,7 +66,7 @@ struct Common {
     #[arg(long, value_name = "FILE")]
     groups: Option<PathBuf>,
     /// Part of the frames that validates, where neither the source nor the table says
-    #[arg(long, value_name = "PART", default_value_t = 0.2, value_parser = share)]
+    #[arg(long, value_name = "PART", default_value_t = 0.2, value_parser = share::<f32>)]
     val_fraction: f32,
     /// The random split follows from it
     #[arg(long, default_value_t = 1)]
@@ -105,7 +105,7 @@ struct KittiArgs {
     #[arg(long, value_name = "LEVEL", default_value_t = 2, value_parser = clap::value_parser!(u8).range(0..=3))]
     max_occluded: u8,
     /// Ignore vehicles of which a larger part lies outside the image
-    #[arg(long, value_name = "PART", default_value_t = 0.5, value_parser = share)]
+    #[arg(long, value_name = "PART", default_value_t = 0.5, value_parser = share::<f32>)]
     max_truncated: f32,
     #[command(flatten)]
     common: Common,
@@ -123,7 +123,7 @@ struct Vkitti2Args {
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     variants: Vec<String>,
     /// Ignore vehicles of which a smaller part is visible
-    #[arg(long, value_name = "PART", default_value_t = 0.25, value_parser = share)]
+    #[arg(long, value_name = "PART", default_value_t = 0.25, value_parser = share::<f32>)]
     min_visible: f32,
     #[command(flatten)]
     common: Common,

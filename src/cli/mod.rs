@@ -66,7 +66,7 @@ enum Command {
     Train(Box<train::TrainArgs>),
     Evaluate(evaluate::EvaluateArgs),
     Report(report::ReportArgs),
-    Predict(predict::PredictArgs),
+    Predict(Box<predict::PredictArgs>),
     Devices(devices::DevicesArgs),
     #[cfg(feature = "remote")]
     Worker(worker::WorkerArgs),
@@ -85,7 +85,7 @@ impl Cli {
             Command::Train(args) => args.run(self.quiet),
             Command::Evaluate(args) => args.run(self.quiet),
             Command::Report(args) => args.run(self.quiet),
-            Command::Predict(args) => args.run(),
+            Command::Predict(args) => args.run(self.quiet),
             Command::Devices(_) => devices::DevicesArgs::run(),
             #[cfg(feature = "remote")]
             Command::Worker(args) => args.run(),

@@ -1,48 +1,113 @@
 //! `twinsight predict`.
 
-use std::path::PathBuf;
+mod output;
+mod report;
+
+use std::path::{Path, PathBuf};
 
 use clap::Args;
-use image::RgbImage;
-use serde::Serialize;
-use twinsight::annotate::{Annotation, annotate_pair};
 use twinsight::device::DeviceName;
-use twinsight::imaging;
+use twinsight::geometry::Polygon;
 use twinsight::pairing::PairingMode;
-use twinsight::pipeline::{PredictOptions, StereoRanger, Vehicle};
-use twinsight::{Error, Result};
+use twinsight::pipeline::{PredictOptions, SingleSided, StereoRanger, VehicleFilter};
+use twinsight::predict::{Sink, predict};
+use twinsight::sources::{FrameSource, Layout};
+use twinsight::{Error, Result, files};
 
-use super::{files, stdout, values};
+use super::{terminal, values};
+use output::Outputs;
 
-/// Find the vehicles in a stereo pair and measure their distances
+/// Find the vehicles in stereo pairs and measure their distances
 ///
 /// Prints JSON on standard output: for every vehicle its box in both images (pixels), the
 /// detector's score, its class and its distance in metres, from the middle between the cameras to
-/// the centre of the vehicle.
+/// the centre of the vehicle. One pair makes one JSON object; folders, sequences and videos make
+/// JSON Lines, one object a frame, and a summary with the time of each stage on standard error.
+///
+/// A frame that cannot be used is named with its reason and the next one follows. Exit code: 0 if
+/// any frame could be used, 2 if none could (or any could not, with --strict), 130 after Ctrl-C,
+/// with the results of the frames so far.
 #[derive(Debug, Args)]
 #[command(after_long_help = EXAMPLES)]
 pub struct PredictArgs {
     /// Folder of a finished training run
     #[arg(long, value_name = "DIR")]
     run: PathBuf,
-    /// Image of the left camera, PNG or JPEG
-    left: PathBuf,
-    /// Image of the right camera, of the same size
-    right: PathBuf,
+    /// Left and right: two images (PNG or JPEG), two folders, two patterns of numbered images
+    /// (`left_%05d.png`) or two videos. Or one folder of both sides: with folders `left` and `right` or
+    /// `image_2` and `image_3`, or names like `left_1` and `right_1`, `1_left` and `1_right`, `1_L`
+    /// and `1_R`. Or, with --layout, one image, folder, pattern or video
+    #[arg(value_name = "INPUT", required = true, num_args = 1..=2)]
+    inputs: Vec<PathBuf>,
+    /// Each picture shows both images: the left one in the left half (`side-by-side`) or in the
+    /// upper half (`top-bottom`)
+    #[arg(long, value_name = "HOW", value_parser = values::layout())]
+    layout: Option<Layout>,
     /// What to compute on; `twinsight devices` lists the choices
     #[arg(long, default_value_t = DeviceName::FLEX)]
     device: DeviceName,
+    /// Frames that are measured at once
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64), default_value_t = 1)]
+    batch: u16,
     /// Least score of a vehicle, 0 to 1
-    #[arg(long, value_parser = values::share, default_value_t = PredictOptions::default().confidence)]
+    #[arg(long, value_parser = values::share::<f32>, default_value_t = PredictOptions::default().confidence, help_heading = "Filters")]
     confidence: f32,
+    /// Boxes that overlap a better one by more than this intersection over union are dropped
+    #[arg(long, value_parser = values::share::<f64>, default_value_t = PredictOptions::default().iou, help_heading = "Filters")]
+    iou: f64,
+    /// At most this many vehicles a frame, those of the highest scores
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Filters")]
+    max_detections: Option<u32>,
+    /// Only these classes, as in car,truck
+    #[arg(
+        long,
+        value_name = "NAMES",
+        value_delimiter = ',',
+        help_heading = "Filters"
+    )]
+    classes: Vec<String>,
+    /// Only vehicles whose box in the left image has its centre in this polygon: corners "x,y x,y
+    /// x,y" in pixels, or a file of them
+    #[arg(
+        long,
+        value_name = "POLYGON",
+        allow_hyphen_values = true,
+        help_heading = "Filters"
+    )]
+    roi: Option<String>,
     /// How boxes of the right image are found: `detect` runs the detector on both images and assigns
     /// its boxes to each other, `search` runs it on the left image and looks for each box's pixels
     /// in the right one, at half the detector's cost
     #[arg(long, value_name = "HOW", value_parser = values::pairing_mode(), default_value_t = PredictOptions::default().pairing_mode)]
     pairing: PairingMode,
-    /// Write a PNG image of the pair with boxes and distances
-    #[arg(long, value_name = "FILE")]
+    /// What becomes of a vehicle that the detector sees in one image only: `search` looks for its
+    /// box in the other image and leaves it out where that is not found, `keep` reports it without
+    /// a distance then, `drop` leaves it out at once (with --pairing detect)
+    #[arg(long, value_name = "HOW", value_parser = values::single_sided(), default_value_t = PredictOptions::default().single_sided)]
+    single_sided: SingleSided,
+    /// Write JSON Lines there; - is standard output, as without this option
+    #[arg(long, value_name = "FILE", help_heading = "Results")]
+    jsonl: Option<PathBuf>,
+    /// Write a table with one row a vehicle; - is standard output, in place of JSON
+    #[arg(long, value_name = "FILE", help_heading = "Results")]
+    csv: Option<PathBuf>,
+    /// Draw boxes and distances: a PNG file for one pair, a folder of them for many
+    #[arg(long, value_name = "PATH", help_heading = "Results")]
     annotate: Option<PathBuf>,
+    /// Write the drawings as a video (mp4, mkv, mov, webm or avi); needs the program ffmpeg
+    #[arg(long, value_name = "FILE", help_heading = "Results")]
+    video: Option<PathBuf>,
+    /// Frames a second of --video [default: those of the input video, or 10]
+    #[arg(
+        long,
+        value_name = "RATE",
+        requires = "video",
+        help_heading = "Results"
+    )]
+    fps: Option<f64>,
+    /// Exit with 2 if any frame could not be used
+    #[arg(long)]
+    strict: bool,
 }
 
 const EXAMPLES: &str = "\
@@ -53,54 +118,126 @@ Examples:
 
   The distances alone:
 
-    twinsight predict --run checkpoints/quick left.png right.png | jq '.vehicles[].distance_m'";
+    twinsight predict --run checkpoints/quick left.png right.png | jq '.vehicles[].distance_m'
 
-/// What is printed.
-#[derive(Debug, Serialize)]
-struct Prediction {
-    left: String,
-    right: String,
-    vehicles: Vec<Vehicle>,
-}
+  A folder of pairs, as JSON Lines and as a table:
+
+    twinsight predict --run checkpoints/quick drive/left drive/right --jsonl a.jsonl --csv a.csv
+
+  KITTI's folders, near the middle of the road only:
+
+    twinsight predict --run checkpoints/quick training --roi \"300,375 900,375 650,180 550,180\"
+
+  A stereo video to a video with boxes:
+
+    twinsight predict --run checkpoints/quick zed.mp4 --layout side-by-side --video seen.mp4";
 
 impl PredictArgs {
-    /// Measures a pair.
-    pub fn run(&self) -> Result<()> {
-        if let Some(path) = &self.annotate {
-            files::check_target(path)?;
-        }
-        let [left, right] = imaging::load_pair(&self.left, &self.right)?;
+    /// Measures what was given.
+    pub fn run(&self, quiet: bool) -> Result<()> {
         let options = PredictOptions {
             confidence: self.confidence,
+            iou: self.iou,
             pairing_mode: self.pairing,
+            single_sided: self.single_sided,
             ..PredictOptions::default()
         };
-        let ranger = StereoRanger::load(&self.run, &self.device.open()?)?.with_options(options);
-        let vehicles = ranger.estimate(&left, &right)?;
-        if let Some(path) = &self.annotate {
-            let picture = picture(&left, &right, &vehicles);
-            files::write(path, &imaging::png_bytes(path, &picture)?)?;
-        }
-        let prediction = Prediction {
-            left: self.left.display().to_string(),
-            right: self.right.display().to_string(),
-            vehicles,
+        let filter = VehicleFilter {
+            classes: self.classes.clone(),
+            region: self.roi.as_deref().map(region).transpose()?,
+            max_vehicles: self.max_detections.map(|most| most as usize),
         };
-        let json = serde_json::to_string_pretty(&prediction)
-            .map_err(|error| Error::io("write", "standard output")(error.into()))?;
-        stdout::print(&format!("{json}\n"))
+        let load = || {
+            StereoRanger::load(&self.run, &self.device.open()?)?
+                .with_options(options)
+                .with_filter(filter)
+        };
+        let outputs = self.outputs();
+        outputs.check_names()?;
+        let source = FrameSource::open(&self.inputs, self.layout)?;
+        if source.is_single() {
+            return run_one(source, load, &outputs);
+        }
+        self.run_many(source, load, &outputs, quiet)
+    }
+
+    fn outputs(&self) -> Outputs<'_> {
+        Outputs {
+            jsonl: self.jsonl.as_deref(),
+            csv: self.csv.as_deref(),
+            annotate: self.annotate.as_deref(),
+            video: self.video.as_deref(),
+            rate_hz: self.fps,
+        }
+    }
+
+    /// Frame after frame.
+    fn run_many(
+        &self,
+        source: FrameSource,
+        load: impl FnOnce() -> Result<StereoRanger>,
+        outputs: &Outputs,
+        quiet: bool,
+    ) -> Result<()> {
+        outputs.check_targets(false)?;
+        let batch = usize::from(self.batch);
+        let (len, rate_hz) = (source.len(), source.rate_hz());
+        let ranger = load()?;
+        let mut sinks: Vec<Box<dyn Sink>> = outputs.sinks(rate_hz)?;
+        let frames = source.read_ahead(2 * batch)?;
+        let outcome = terminal::with_progress(quiet, |progress| {
+            progress.begin("predicting", len.unwrap_or(0));
+            let outcome = predict(&ranger, frames, batch, &mut sinks, progress);
+            progress.end();
+            outcome
+        });
+        // What was done is kept, whatever ended it.
+        let finished: Vec<Result<()>> = sinks.into_iter().map(Sink::finish).collect();
+        let summary = match outcome {
+            Err(error) if output::is_closed_pipe(&error) => return Ok(()),
+            outcome => outcome?,
+        };
+        finished.into_iter().collect::<Result<()>>()?;
+        report::show(&summary, quiet);
+        if summary.interrupted {
+            return Err(Error::Interrupted {
+                resume: format!(
+                    "the results of {} frames are kept; run the same command again for all of them",
+                    summary.frames
+                ),
+            });
+        }
+        report::verdict(&summary, self.strict)
     }
 }
 
-/// Both images with every vehicle's boxes, distance and score.
-fn picture(left: &RgbImage, right: &RgbImage, vehicles: &[Vehicle]) -> RgbImage {
-    let annotations: Vec<Annotation> = vehicles
-        .iter()
-        .map(|vehicle| Annotation {
-            left: Some(vehicle.left),
-            right: Some(vehicle.right),
-            text: format!("{:.1} m {:.2}", vehicle.distance_m, vehicle.score),
-        })
-        .collect();
-    annotate_pair(left, right, &annotations)
+/// Measures one pair, which must be usable.
+fn run_one(
+    source: FrameSource,
+    load: impl FnOnce() -> Result<StereoRanger>,
+    outputs: &Outputs,
+) -> Result<()> {
+    outputs.check_targets(true)?;
+    let Some(frame) = source.read_ahead(1)?.next() else {
+        return Ok(());
+    };
+    let [left, right] = frame.images?;
+    let (mut found, _) = load()?.find(&[[&left, &right]])?;
+    let found = found.pop().unwrap_or_default();
+    outputs.write_one(&frame.name, frame.origins, [&left, &right], found)
+}
+
+/// A polygon as it is typed, or in a file.
+fn region(text: &str) -> Result<Polygon> {
+    let path = Path::new(text);
+    let named = |error: Error| match error {
+        Error::Value {
+            problem, remedy, ..
+        } => Error::value(format!("--roi \"{text}\""), problem, remedy),
+        error => error,
+    };
+    if path.is_file() {
+        return files::read_text(path)?.parse().map_err(named);
+    }
+    text.parse().map_err(named)
 }

@@ -159,6 +159,11 @@ impl Phase {
     /// The state as a line of text, this long after the beginning.
     fn line(&self, elapsed: Duration) -> String {
         let (label, done, total) = (&self.label, self.done, self.total);
+        let comma = if self.status.is_empty() { "" } else { ", " };
+        // Work of unknown length.
+        if total == 0 && done > 0 {
+            return format!("{label}: {done}{comma}{}", self.status);
+        }
         let percent = (100 * done).checked_div(total).unwrap_or(100);
         let left = if done > 0 {
             let left = total.saturating_sub(done) as f64 / done as f64;
@@ -166,7 +171,6 @@ impl Phase {
         } else {
             String::new()
         };
-        let comma = if self.status.is_empty() { "" } else { ", " };
         format!(
             "{label}: {percent} % ({done}/{total}){left}{comma}{}",
             self.status
@@ -242,6 +246,9 @@ mod tests {
             Phase::new("nothing", 0, None).line(Duration::ZERO),
             "nothing: 100 % (0/0)"
         );
+        let mut endless = Phase::new("predicting", 0, None);
+        endless.done = 7;
+        assert_eq!(endless.line(Duration::from_secs(1)), "predicting: 7");
     }
 
     #[test]

@@ -6,6 +6,8 @@ use std::str::FromStr;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use twinsight::dataset::{BoxKind, Split, StereoDataset};
 use twinsight::pairing::PairingMode;
+use twinsight::pipeline::SingleSided;
+use twinsight::sources::Layout;
 
 /// An image size, `WIDTHxHEIGHT`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,9 +33,9 @@ impl FromStr for ImageSize {
 }
 
 /// A share between 0 and 1.
-pub fn share(text: &str) -> Result<f32, String> {
+pub fn share<T: FromStr + PartialOrd + From<u8>>(text: &str) -> Result<T, String> {
     match text.parse() {
-        Ok(value) if (0.0..=1.0).contains(&value) => Ok(value),
+        Ok(value) if (T::from(0)..=T::from(1)).contains(&value) => Ok(value),
         _ => Err("is no number from 0 to 1".to_owned()),
     }
 }
@@ -61,6 +63,17 @@ pub fn split() -> impl TypedValueParser<Value = Split> {
 pub fn pairing_mode() -> impl TypedValueParser<Value = PairingMode> {
     PossibleValuesParser::new(PairingMode::ALL.map(PairingMode::word))
         .try_map(|word| word.parse::<PairingMode>())
+}
+
+/// `drop`, `search` or `keep`.
+pub fn single_sided() -> impl TypedValueParser<Value = SingleSided> {
+    PossibleValuesParser::new(SingleSided::ALL.map(SingleSided::word))
+        .try_map(|word| word.parse::<SingleSided>())
+}
+
+/// `side-by-side` or `top-bottom`.
+pub fn layout() -> impl TypedValueParser<Value = Layout> {
+    PossibleValuesParser::new(Layout::ALL.map(Layout::word)).try_map(|word| word.parse::<Layout>())
 }
 
 /// A path as it is typed in a shell.
@@ -99,9 +112,10 @@ mod tests {
 
     #[test]
     fn shares_are_numbers_from_zero_to_one() {
-        assert_eq!(share("0.25"), Ok(0.25));
+        assert_eq!(share("0.25"), Ok(0.25_f32));
+        assert_eq!(share("0.7"), Ok(0.7_f64));
         for text in ["1.5", "-0.1", "NaN", "many"] {
-            assert!(share(text).is_err(), "{text} is no share");
+            assert!(share::<f32>(text).is_err(), "{text} is no share");
         }
     }
 

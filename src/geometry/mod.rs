@@ -9,9 +9,11 @@ mod boxes;
 mod camera;
 mod cuboid;
 pub mod letterbox;
+mod polygon;
 mod sphere;
 
 pub use boxes::PixelBox;
 pub use camera::{Camera, Intrinsics, RigSettings, StereoRig};
 pub use cuboid::Cuboid;
+pub use polygon::Polygon;
 pub use sphere::{SphereTarget, sphere_box};

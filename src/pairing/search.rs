@@ -11,13 +11,13 @@
 use std::cmp::Ordering;
 use std::ops::RangeInclusive;
 
-use image::RgbImage;
+use image::{RgbImage, imageops};
 use rayon::prelude::*;
 
 use super::correlation::{GreyPlane, Grid, Template};
 use super::{PairingConfig, disparity_range};
 use crate::detector::detection::Detection;
-use crate::geometry::{PixelBox, StereoRig};
+use crate::geometry::{Camera, PixelBox, StereoRig};
 
 /// Part of a box's width and height that is compared. Boxes hold background around the vehicle,
 /// which moves by another disparity: above and below more than beside it, because vehicles are
@@ -66,7 +66,7 @@ const MOST_PLACES: f64 = 65_536.0;
 
 /// Boxes of one class that overlap by more than this intersection over union are one vehicle:
 /// what suppression of detections takes for one.
-const SAME_VEHICLE_IOU: f64 = 0.7;
+pub(crate) const SAME_VEHICLE_IOU: f64 = 0.7;
 
 /// The partner of a detection of the left image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -122,6 +122,49 @@ pub fn search(
         left_only: (0..left.len()).filter(is_alone).collect(),
         partners,
     }
+}
+
+/// [`search`] the other way: partners in the left image of detections of the right one. In what
+/// comes back, left and right have changed places.
+///
+/// In a mirror the right camera is the left one, so it is the same search in mirrored images.
+pub fn search_from_right(
+    images: [&RgbImage; 2],
+    right: &[Detection],
+    rig: &StereoRig,
+    config: &PairingConfig,
+) -> Searched {
+    let mirrored_camera = |camera: &Camera| Camera {
+        center_x_px: f64::from(camera.width) - camera.center_x_px,
+        ..*camera
+    };
+    let mirrored_box = |b: &PixelBox, image: &RgbImage| {
+        let width = f64::from(image.width());
+        PixelBox::new(width - b.x_max, b.y_min, width - b.x_min, b.y_max)
+    };
+    let mirrored_rig = StereoRig {
+        left: mirrored_camera(&rig.right),
+        right: mirrored_camera(&rig.left),
+        baseline_m: rig.baseline_m,
+    };
+    let mirrored: Vec<Detection> = right
+        .iter()
+        .map(|detection| Detection {
+            box_pixel: mirrored_box(&detection.box_pixel, images[1]),
+            ..*detection
+        })
+        .collect();
+    let [left_image, right_image] = images.map(imageops::flip_horizontal);
+    let mut searched = search(
+        [&right_image, &left_image],
+        &mirrored,
+        &mirrored_rig,
+        config,
+    );
+    for partner in &mut searched.partners {
+        partner.box_pixel = mirrored_box(&partner.box_pixel, images[0]);
+    }
+    searched
 }
 
 /// Disparity of what one box of the left image shows, as [`search`] finds it: of the visible surface,

@@ -1,0 +1,163 @@
+use super::*;
+use crate::geometry::PixelBox;
+
+fn record(outcome: Outcome) -> FrameRecord {
+    FrameRecord {
+        frame: "00042".to_owned(),
+        left: "l.png".to_owned(),
+        right: "r.png".to_owned(),
+        time_s: None,
+        outcome,
+    }
+}
+
+fn vehicle(detected_in: DetectedIn) -> Vehicle {
+    Vehicle {
+        left: PixelBox::new(1.0, 2.0, 3.5, 4.0),
+        right: PixelBox::new(0.0, 2.0, 2.5, 4.0),
+        score: 0.5,
+        class: "car, \"red\"".to_owned(),
+        distance_m: 12.25,
+        detected_in,
+    }
+}
+
+fn alone() -> Unmatched {
+    Unmatched {
+        detected_in: DetectedIn::Right,
+        box_pixel: PixelBox::new(5.0, 6.0, 7.0, 8.0),
+        score: 0.25,
+        class: "truck".to_owned(),
+    }
+}
+
+fn measured(vehicles: Vec<Vehicle>, without_distance: Vec<Unmatched>) -> Outcome {
+    Outcome::Measured {
+        vehicles,
+        without_distance,
+    }
+}
+
+fn failed() -> Outcome {
+    Outcome::Failed {
+        error: "image l.png: the file is empty; write it again".to_owned(),
+    }
+}
+
+#[test]
+fn a_line_of_json_says_what_was_found_or_why_nothing_could_be() {
+    for (outcome, expected) in [
+        (measured(vec![], vec![]), r#""vehicles":[]}"#),
+        (
+            failed(),
+            r#""error":"image l.png: the file is empty; write it again"}"#,
+        ),
+    ] {
+        let line = record(outcome).to_line().unwrap();
+        let beginning = r#"{"frame":"00042","left":"l.png","right":"r.png","#;
+        assert_eq!(line, format!("{beginning}{expected}\n"));
+    }
+    let line = record(measured(vec![vehicle(DetectedIn::Both)], vec![alone()]))
+        .to_line()
+        .unwrap();
+    for part in [
+        r#""left":{"x_min":1.0,"y_min":2.0,"x_max":3.5,"y_max":4.0}"#,
+        r#""distance_m":12.25,"detected_in":"both""#,
+        r#""without_distance":[{"detected_in":"right","box":{"x_min":5.0"#,
+    ] {
+        assert!(line.contains(part), "{part} in {line}");
+    }
+    assert_eq!(line.matches('\n').count(), 1);
+}
+
+#[test]
+fn records_come_back_from_their_lines() {
+    for outcome in [
+        measured(vec![vehicle(DetectedIn::Left)], vec![alone()]),
+        measured(vec![], vec![]),
+        failed(),
+    ] {
+        let record = FrameRecord {
+            time_s: Some(0.5),
+            ..record(outcome)
+        };
+        let line = record.to_line().unwrap();
+        assert_eq!(serde_json::from_str::<FrameRecord>(&line).unwrap(), record);
+    }
+}
+
+#[test]
+fn a_table_has_one_row_a_vehicle_under_its_header() {
+    let columns = CsvFile::header().trim().split(',').count();
+    let record = record(measured(vec![vehicle(DetectedIn::Left)], vec![alone()]));
+    let rows = CsvFile::rows(&record).unwrap();
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .from_reader(rows.as_bytes());
+    let rows: Vec<Vec<String>> = reader
+        .records()
+        .map(|row| row.unwrap().iter().map(str::to_owned).collect())
+        .collect();
+    assert!(rows.iter().all(|row| row.len() == columns), "{rows:?}");
+    assert_eq!(
+        rows[0],
+        [
+            "00042",
+            "",
+            "1",
+            "car, \"red\"",
+            "0.5",
+            "12.25",
+            "left",
+            "1",
+            "2",
+            "3.5",
+            "4",
+            "0",
+            "2",
+            "2.5",
+            "4"
+        ]
+    );
+    assert_eq!(
+        rows[1],
+        [
+            "00042", "", "2", "truck", "0.25", "", "right", "", "", "", "", "5", "6", "7", "8"
+        ]
+    );
+    let without = FrameRecord {
+        outcome: failed(),
+        ..record
+    };
+    assert_eq!(CsvFile::rows(&without).unwrap(), "");
+}
+
+#[test]
+fn the_summary_counts_every_kind_of_frame() {
+    let mut summary = PredictSummary::default();
+    for outcome in [
+        measured(
+            vec![vehicle(DetectedIn::Both), vehicle(DetectedIn::Left)],
+            vec![],
+        ),
+        measured(vec![], vec![alone()]),
+        measured(vec![], vec![]),
+        failed(),
+    ] {
+        summary.count(&record(outcome));
+    }
+    let PredictSummary {
+        frames,
+        failed,
+        empty,
+        vehicles,
+        single_sided,
+        without_distance,
+        reasons,
+        ..
+    } = summary;
+    assert_eq!([frames, failed, empty], [4, 1, 1]);
+    assert_eq!([vehicles, single_sided, without_distance], [2, 1, 1]);
+    assert_eq!(reasons.len(), 1);
+    assert!(reasons[0].1.contains("empty"));
+}
