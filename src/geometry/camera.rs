@@ -115,6 +115,31 @@ pub struct Intrinsics {
     pub center_y_px: f64,
 }
 
+impl Intrinsics {
+    /// A camera with images of this size.
+    pub fn camera(&self, width: u32, height: u32) -> Camera {
+        Camera {
+            width,
+            height,
+            focal_x_px: self.focal_x_px,
+            focal_y_px: self.focal_y_px,
+            center_x_px: self.center_x_px,
+            center_y_px: self.center_y_px,
+        }
+    }
+
+    /// Those of the same camera when its images are resized by these factors along x and y.
+    #[must_use]
+    pub fn scaled(&self, [x, y]: [f64; 2]) -> Self {
+        Self {
+            focal_x_px: self.focal_x_px * x,
+            focal_y_px: self.focal_y_px * y,
+            center_x_px: self.center_x_px * x,
+            center_y_px: self.center_y_px * y,
+        }
+    }
+}
+
 impl StereoRig {
     /// Two equal cameras with their principal points at the image centre.
     ///
@@ -250,14 +275,7 @@ impl TryFrom<RigSettings> for StereoRig {
                     "give the calibrated intrinsics in pixels",
                 ));
             }
-            Ok(Camera {
-                width,
-                height,
-                focal_x_px: i.focal_x_px,
-                focal_y_px: i.focal_y_px,
-                center_x_px: i.center_x_px,
-                center_y_px: i.center_y_px,
-            })
+            Ok(i.camera(width, height))
         };
         match (hfov_deg, left, right) {
             (Some(hfov), None, None) if hfov > 0.0 && hfov < 180.0 => {

@@ -6,12 +6,18 @@
 //! `letterbox` is the detector's input.
 
 mod boxes;
+mod calibration;
 mod camera;
 mod cuboid;
+mod distortion;
 pub mod letterbox;
+mod rectification;
 mod sphere;
 
 pub use boxes::PixelBox;
+pub use calibration::{CalibrationParts, GivenRectification, LensCamera, StereoCalibration};
 pub use camera::{Camera, Intrinsics, RigSettings, StereoRig};
 pub use cuboid::Cuboid;
+pub use distortion::Distortion;
+pub use rectification::{Rectification, RectifiedView};
 pub use sphere::{SphereTarget, sphere_box};
