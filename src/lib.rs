@@ -9,6 +9,7 @@
 //!
 //! ```text
 //! left, right image                                   [`imaging`]
+//!   |  undo the lenses, turn both onto the same rows  [`calibration`]
 //!   |  letterbox to multiples of 32                   [`geometry::letterbox`]
 //!   |  YOLO11, decode, suppress                       [`detector`], [`nn`], [`kernels`]
 //!   v
@@ -61,6 +62,7 @@
 //! Distances from a trained run: see [`pipeline::StereoRanger`].
 
 pub mod annotate;
+pub mod calibration;
 pub mod dataset;
 pub mod detector;
 pub mod device;

@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 use crate::detector::nms::NmsConfig;
 use crate::detector::{Detection, VehicleDetector};
 use crate::error::{Error, Result};
-use crate::geometry::{PixelBox, RigSettings, StereoRig};
+use crate::geometry::{PixelBox, StereoRig};
 use crate::pairing::search::search;
 use crate::pairing::{PairingConfig, PairingMode, pair};
-use crate::ranging::{DistanceEstimator, Sighting};
+use crate::ranging::{DistanceEstimator, RigNote, Sighting};
 use crate::train::StageFolder;
 
 /// What counts as a detection, and what as the same vehicle in both images.
@@ -119,6 +119,8 @@ pub struct StereoRanger {
     detector: VehicleDetector,
     estimator: DistanceEstimator,
     options: PredictOptions,
+    /// The rig of the images, where it is not the trained one.
+    given_rig: Option<StereoRig>,
 }
 
 impl StereoRanger {
@@ -165,7 +167,17 @@ impl StereoRanger {
             detector,
             estimator,
             options: PredictOptions::default(),
+            given_rig: None,
         })
+    }
+
+    /// The same for rectified images of this rig, see
+    /// [`CalibratedRig`](crate::calibration::CalibratedRig). Images must then be of its size, or the
+    /// same resized.
+    #[must_use]
+    pub fn with_rig(mut self, rig: StereoRig) -> Self {
+        self.given_rig = Some(rig);
+        self
     }
 
     /// The same with other options.
@@ -301,25 +313,40 @@ impl StereoRanger {
         }
     }
 
-    /// The trained rig at another resolution of the same field of view.
+    /// In what images of this size differ from those that the networks were trained on, and what is
+    /// done about it.
+    pub fn rig_notes(&self, (width, height): (u32, u32)) -> Vec<RigNote> {
+        let images = [width, height];
+        match &self.given_rig {
+            None => RigNote::of_size(self.rig(), images).into_iter().collect(),
+            Some(rig) => {
+                let calibrated = [rig.left.width, rig.left.height];
+                let resized =
+                    (calibrated != images).then_some(RigNote::Resized { calibrated, images });
+                let readout = self.estimator.header().readout;
+                let mut notes = RigNote::of_rig(self.rig(), rig, readout);
+                notes.extend(resized);
+                notes
+            }
+        }
+    }
+
+    /// The rig of images of this size: the given one, or the trained one at another resolution of
+    /// the same field of view.
     pub(crate) fn rig_for(&self, (width, height): (u32, u32)) -> Result<StereoRig> {
-        let rig = *self.rig();
-        if (rig.left.width, rig.left.height) == (width, height) {
-            return Ok(rig);
+        let size = [width, height];
+        match self.given_rig {
+            Some(rig) => rig.resized(size).ok_or_else(|| {
+                Error::value(
+                    format!("images of {width}x{height} pixels"),
+                    format!("the given rig has {}x{}", rig.left.width, rig.left.height),
+                    "give images of the calibrated cameras, or the same resized but not cut",
+                )
+            }),
+            None => Ok(self
+                .rig()
+                .resized(size)
+                .unwrap_or_else(|| self.rig().cropped(size))),
         }
-        let scale_x = f64::from(width) / f64::from(rig.left.width);
-        let scale_y = f64::from(height) / f64::from(rig.left.height);
-        let mut settings = RigSettings::from(rig);
-        (settings.width, settings.height) = (width, height);
-        for camera in [&mut settings.left, &mut settings.right]
-            .into_iter()
-            .flatten()
-        {
-            camera.focal_x_px *= scale_x;
-            camera.center_x_px *= scale_x;
-            camera.focal_y_px *= scale_y;
-            camera.center_y_px *= scale_y;
-        }
-        settings.try_into()
     }
 }

@@ -3,6 +3,7 @@
 //! The only place that knows clap and that prints. Results go to standard output, everything else
 //! to standard error.
 
+mod calibration;
 mod devices;
 mod evaluate;
 mod export;
@@ -81,7 +82,7 @@ impl Cli {
             Command::Train(args) => args.run(self.quiet),
             Command::Evaluate(args) => args.run(self.quiet),
             Command::Report(args) => args.run(self.quiet),
-            Command::Predict(args) => args.run(),
+            Command::Predict(args) => args.run(self.quiet),
             Command::Devices(_) => devices::DevicesArgs::run(),
         };
         done.map(|()| ExitCode::SUCCESS)

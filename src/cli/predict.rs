@@ -12,6 +12,7 @@ use twinsight::pairing::PairingMode;
 use twinsight::pipeline::{PredictOptions, StereoRanger, Vehicle};
 use twinsight::{Error, Result};
 
+use super::calibration::{CalibrationArgs, say_notes};
 use super::{files, stdout, values};
 
 /// Find the vehicles in a stereo pair and measure their distances
@@ -43,6 +44,8 @@ pub struct PredictArgs {
     /// Write a PNG image of the pair with boxes and distances
     #[arg(long, value_name = "FILE")]
     annotate: Option<PathBuf>,
+    #[command(flatten)]
+    calibration: CalibrationArgs,
 }
 
 const EXAMPLES: &str = "\
@@ -53,7 +56,12 @@ Examples:
 
   The distances alone:
 
-    twinsight predict --run checkpoints/quick left.png right.png | jq '.vehicles[].distance_m'";
+    twinsight predict --run checkpoints/quick left.png right.png | jq '.vehicles[].distance_m'
+
+  Images of your own cameras, as they took them, with OpenCV's calibration in millimetres:
+
+    twinsight predict --run checkpoints/quick left.png right.png \\
+      --calib intrinsics.yml --calib extrinsics.yml --calib-baseline 0.12";
 
 /// What is printed.
 #[derive(Debug, Serialize)]
@@ -65,17 +73,31 @@ struct Prediction {
 
 impl PredictArgs {
     /// Measures a pair.
-    pub fn run(&self) -> Result<()> {
+    pub fn run(&self, quiet: bool) -> Result<()> {
         if let Some(path) = &self.annotate {
             files::check_target(path)?;
         }
-        let [left, right] = imaging::load_pair(&self.left, &self.right)?;
+        let calibration = self.calibration.load()?;
+        let mut images = imaging::load_pair(&self.left, &self.right)?;
+        let mut calibrated = None;
+        if let Some(calibration) = &calibration {
+            let rig = self.calibration.rig(calibration, images[0].dimensions())?;
+            images = rig.rectify(images)?;
+            calibrated = Some(rig);
+        }
+        let [left, right] = images;
         let options = PredictOptions {
             confidence: self.confidence,
             pairing_mode: self.pairing,
             ..PredictOptions::default()
         };
-        let ranger = StereoRanger::load(&self.run, &self.device.open()?)?.with_options(options);
+        let mut ranger = StereoRanger::load(&self.run, &self.device.open()?)?.with_options(options);
+        if let Some(calibrated) = &calibrated {
+            ranger = ranger.with_rig(*calibrated.rig());
+        }
+        if !quiet {
+            say_notes(&ranger, left.dimensions(), calibrated.as_ref());
+        }
         let vehicles = ranger.estimate(&left, &right)?;
         if let Some(path) = &self.annotate {
             let picture = picture(&left, &right, &vehicles);

@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::camera::scale_to;
 use super::{Camera, Distortion, Intrinsics, RigSettings, StereoRig};
 use crate::error::{Error, Result};
 
@@ -20,9 +21,6 @@ const LARGEST_GIVEN_BASELINE_M: f64 = 1000.0;
 
 /// Cosine of the largest angle between the optical axes, 45 degrees.
 const LEAST_AXES_COSINE: f64 = 0.707;
-
-/// Sizes that differ by less than this part in aspect are the same image, shrunk or enlarged.
-const ASPECT_TOLERANCE: f64 = 0.005;
 
 /// Where a calibration does not say of which size its images were, the principal point of both
 /// cameras lies in this part of the image's width: another part means images of another size.
@@ -412,15 +410,6 @@ impl StereoCalibration {
 
 /// Names of the cameras in messages.
 const SIDES: [&str; 2] = ["left camera", "right camera"];
-
-/// Scale along x and y of images of the same view; None for another shape.
-pub(crate) fn scale_to(own: [u32; 2], size: [u32; 2]) -> Option<[f64; 2]> {
-    let scale = [0, 1].map(|i| f64::from(size[i]) / f64::from(own[i]));
-    // Sides are whole pixels: half a pixel of the smaller side is no other shape.
-    let smallest = f64::from(size[0].min(size[1]));
-    let tolerance = ASPECT_TOLERANCE.max(0.6 / smallest);
-    ((scale[0] / scale[1] - 1.0).abs() <= tolerance).then_some(scale)
-}
 
 fn check_intrinsics(side: &str, camera: &Intrinsics, size: Option<[u32; 2]>) -> Result<()> {
     let (fx, fy) = (camera.focal_x_px, camera.focal_y_px);

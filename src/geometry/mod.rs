@@ -16,7 +16,7 @@ mod sphere;
 
 pub use boxes::PixelBox;
 pub use calibration::{CalibrationParts, GivenRectification, LensCamera, StereoCalibration};
-pub use camera::{Camera, Intrinsics, RigSettings, StereoRig};
+pub use camera::{Camera, Intrinsics, RigSettings, StereoRig, is_same_shape};
 pub use cuboid::Cuboid;
 pub use distortion::Distortion;
 pub use rectification::{Rectification, RectifiedView};

@@ -127,19 +127,13 @@ impl Rectification {
                 [common_camera(reaches, new_size, alpha.unwrap_or(0.0))?; 2]
             }
         };
-        let intrinsics = |camera: Camera| Intrinsics {
-            focal_x_px: camera.focal_x_px,
-            focal_y_px: camera.focal_y_px,
-            center_x_px: camera.center_x_px,
-            center_y_px: camera.center_y_px,
-        };
         let rig = RigSettings {
             width: new_size[0],
             height: new_size[1],
             baseline_m: given.map_or(baseline_m, |given| given.baseline_m),
             hfov_deg: None,
-            left: Some(intrinsics(cameras[0])),
-            right: Some(intrinsics(cameras[1])),
+            left: Some(cameras[0].intrinsics()),
+            right: Some(cameras[1].intrinsics()),
         };
         Ok(Self {
             views: [view(0, cameras[0]), view(1, cameras[1])],

@@ -25,6 +25,9 @@ fn intrinsics(focal: [f64; 2], center: [f64; 2]) -> Intrinsics {
 
 const SIZE: [u32; 2] = [1024, 576];
 
+/// Between the points that follow the border it bends by hundredths of a pixel.
+const BEND: f64 = 0.05;
+
 /// Two unequal cameras with lenses, 0.5 m apart, turned and shifted against each other.
 fn parts(coefficients: [&[f64]; 2]) -> CalibrationParts {
     let rotation = turned(0.02, -0.035, 0.015);
@@ -133,8 +136,6 @@ fn without_black_borders_every_pixel_is_seen_and_with_them_every_seen_pixel_is_k
         let full = Rectification::new(&calibration, SIZE, Some(0.0)).unwrap();
         let whole = Rectification::new(&calibration, SIZE, Some(1.0)).unwrap();
         assert!(full.rig.focal_px() > whole.rig.focal_px());
-        // Between the points that follow the border it bends by hundredths of a pixel.
-        const BEND: f64 = 0.05;
         let (width, height) = (f64::from(SIZE[0]), f64::from(SIZE[1]));
         let holds = |[x, y]: [f64; 2]| {
             (-BEND..=width + BEND).contains(&x) && (-BEND..=height + BEND).contains(&y)
