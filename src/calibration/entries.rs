@@ -282,18 +282,26 @@ impl Entries {
     }
 }
 
-/// A number, or not a number for what YAML calls `.nan`, `.inf` or nothing.
+/// Whether a value stands for a number, be it none that is finite: YAML's `.nan`, `.inf` and nothing.
+fn is_number(value: &Value) -> bool {
+    match value {
+        Value::Number(_) | Value::Null => true,
+        Value::String(text) => {
+            let word = text.trim_start_matches(['+', '-']).to_ascii_lowercase();
+            word == ".nan" || word == ".inf"
+        }
+        _ => false,
+    }
+}
+
+/// A number; not a number for all that are not finite.
 fn float(value: &Value) -> f64 {
     value.as_f64().unwrap_or(f64::NAN)
 }
 
-/// OpenCV's and ROS' form: `rows`, `cols` and `data`.
+/// OpenCV's and ROS' form, `rows`, `cols` and `data`, or that of OpenCV 5, `sizes` and `data`.
 fn matrix(name: &str, members: &serde_json::Map<String, Value>) -> Result<Option<Matrix>> {
-    let (Some(rows), Some(columns), Some(data)) = (
-        members.get("rows"),
-        members.get("cols"),
-        members.get("data"),
-    ) else {
+    let Some(data) = members.get("data") else {
         return Ok(None);
     };
     let refused = |problem: String| {
@@ -303,7 +311,20 @@ fn matrix(name: &str, members: &serde_json::Map<String, Value>) -> Result<Option
             "write rows, cols and data of that many numbers",
         ))
     };
-    let (Some(rows), Some(columns)) = (rows.as_u64(), columns.as_u64()) else {
+    let sides = match (
+        members.get("rows"),
+        members.get("cols"),
+        members.get("sizes"),
+    ) {
+        (Some(rows), Some(columns), _) => [rows.as_u64(), columns.as_u64()],
+        (_, _, Some(Value::Array(sizes))) => match &sizes[..] {
+            [columns] => [Some(1), columns.as_u64()],
+            [rows, columns] => [rows.as_u64(), columns.as_u64()],
+            _ => return refused("has more than two dimensions".to_owned()),
+        },
+        _ => return Ok(None),
+    };
+    let [Some(rows), Some(columns)] = sides else {
         return refused("its rows and cols are no whole numbers".to_owned());
     };
     let Value::Array(items) = data else {
@@ -315,8 +336,8 @@ fn matrix(name: &str, members: &serde_json::Map<String, Value>) -> Result<Option
             items.len()
         ));
     }
-    if let Some(text) = items.iter().find_map(Value::as_str) {
-        return refused(format!("has the text '{text}' among its numbers"));
+    if let Some(other) = items.iter().find(|item| !is_number(item)) {
+        return refused(format!("has {other} among its numbers"));
     }
     Ok(Some(Matrix {
         rows: rows as usize,
@@ -328,7 +349,7 @@ fn matrix(name: &str, members: &serde_json::Map<String, Value>) -> Result<Option
 /// A list of numbers, or of such lists of equal length.
 fn list(items: &[Value]) -> Option<Matrix> {
     let numbers = |items: &[Value]| -> Option<Vec<f64>> {
-        let all = items.iter().all(|item| item.is_number() || item.is_null());
+        let all = items.iter().all(is_number);
         all.then(|| items.iter().map(float).collect())
     };
     if let Some(values) = numbers(items) {

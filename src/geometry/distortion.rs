@@ -115,10 +115,14 @@ impl Distortion {
     /// [`Distortion::distorted`]. None where the model shows no direction up to
     /// [`Distortion::widest`] there.
     pub fn undistorted(&self, point: [f64; 2]) -> Option<[f64; 2]> {
+        self.undistorted_within(point, self.widest())
+    }
+
+    /// [`Distortion::undistorted`], given [`Distortion::widest`].
+    pub(crate) fn undistorted_within(&self, point: [f64; 2], widest: f64) -> Option<[f64; 2]> {
         if self.is_none() {
             return Some(point);
         }
-        let widest = self.widest();
         let shrunk = |[x, y]: [f64; 2]| {
             let r = (x * x + y * y).sqrt();
             let scale = if r > widest { widest / r } else { 1.0 };

@@ -61,7 +61,7 @@ impl PixelMap {
             taps.par_chunks_exact_mut(width)
                 .zip(0..target[1])
                 .for_each(|(row, y)| {
-                    for (tap, x) in row.iter_mut().zip(0..target[1]) {
+                    for (tap, x) in row.iter_mut().zip(0_u32..) {
                         let center = [f64::from(x) + 0.5, f64::from(y) + 0.5];
                         *tap = place(center)
                             .and_then(|pixel| tap_at(pixel, source))

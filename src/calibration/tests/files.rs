@@ -34,6 +34,44 @@ fn opencv_numbers_come_as_they_are_with_the_pixel_origin_moved() {
     assert!(!calibration.is_rectified());
 }
 
+/// Written by OpenCV 5.0: made-up cameras, `stereoRectify` with alpha 0.
+const BY_OPENCV: &str = include_str!("../../../tests/fixtures/stereo_opencv.yml");
+
+#[test]
+fn a_file_that_opencv_wrote_rectifies_as_opencv_does() {
+    let calibration = read(BY_OPENCV);
+    assert_eq!(calibration.size(), Some([640, 480]));
+    assert!((calibration.given().unwrap().baseline_m - 0.120_005_2).abs() < 1e-6);
+    let rectification =
+        crate::geometry::Rectification::new(&calibration, [640, 480], None).unwrap();
+    assert!((rectification.rig.focal_px() - 502.540_472).abs() < 1e-5);
+    // What `initUndistortRectifyMap` has at these pixels of the rectified images.
+    let maps = [
+        [
+            ([0, 0], [31.573_107, 22.146_322]),
+            ([320, 240], [322.027_9, 239.088_87]),
+            ([639, 479], [608.777_2, 453.580_9]),
+            ([100, 400], [106.445_92, 397.051_82]),
+        ],
+        [
+            ([0, 0], [29.056_236, 23.133_745]),
+            ([320, 240], [323.348_2, 239.944_78]),
+            ([639, 479], [612.628_9, 453.888_37]),
+            ([100, 400], [107.808_09, 399.521_5]),
+        ],
+    ];
+    for (view, map) in rectification.views.iter().zip(maps) {
+        for (pixel, expected) in map {
+            let center = pixel.map(|v| f64::from(v) + HALF_PIXEL);
+            let found = view.pixel_from_rectified(center).unwrap();
+            for axis in 0..2 {
+                let off = found[axis] - HALF_PIXEL - expected[axis];
+                assert!(off.abs() < 1e-3, "{pixel:?}: {found:?} is not {expected:?}");
+            }
+        }
+    }
+}
+
 #[test]
 fn the_names_that_people_use_are_known() {
     for (left, right) in [

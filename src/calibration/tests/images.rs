@@ -80,9 +80,10 @@ fn taken(calibration: &StereoCalibration) -> [RgbImage; 2] {
     let ray = |camera: &LensCamera| {
         let plain = camera.intrinsics.camera(SIZE[0], SIZE[1]);
         let lens = camera.distortion;
+        let widest = lens.widest();
         move |pixel: [f64; 2]| {
             let [x, y, _] = plain.camera_from_pixel(pixel);
-            let [x, y] = lens.undistorted([x, y])?;
+            let [x, y] = lens.undistorted_within([x, y], widest)?;
             Some(DVec3::new(x, y, 1.0))
         }
     };
