@@ -12,12 +12,14 @@ mod cuboid;
 mod distortion;
 pub mod letterbox;
 mod rectification;
+mod resized;
 mod sphere;
 
 pub use boxes::PixelBox;
 pub use calibration::{CalibrationParts, GivenRectification, LensCamera, StereoCalibration};
-pub use camera::{Camera, Intrinsics, RigSettings, StereoRig, is_same_shape};
+pub use camera::{Camera, Intrinsics, RigSettings, StereoRig};
 pub use cuboid::Cuboid;
 pub use distortion::Distortion;
 pub use rectification::{Rectification, RectifiedView};
+pub use resized::is_same_shape;
 pub use sphere::{SphereTarget, sphere_box};
