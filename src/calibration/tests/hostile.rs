@@ -46,7 +46,7 @@ fn wrong_entries_are_refused_by_their_names() {
                 "[ -2.8e-01, 8.0e-02, 1.2e-03, -1.0e-04, 0. ]",
                 "[ .Inf, 0, 0, 0, 0 ]",
             ),
-            ["D1", "finite"],
+            ["line 16", "finite"],
         ),
         (changed("D1:", "F1:"), ["D2", "only one camera"]),
         (changed("M2:", "M3:"), ["camera matrices", "M3"]),
