@@ -61,6 +61,16 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
+    /// A calibration file that cannot be used.
+    #[error("calibration {}: {problem}; {remedy}", path.display())]
+    Calibration {
+        /// The file, or the first of them.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+        /// What to do about it.
+        remedy: String,
+    },
     /// A setting, argument or input value that cannot be used.
     #[error("{name}: {problem}; {remedy}")]
     Value {
@@ -154,6 +164,19 @@ impl Error {
         remedy: impl Into<String>,
     ) -> Self {
         Self::Asset {
+            path: path.as_ref().to_path_buf(),
+            problem: problem.into(),
+            remedy: remedy.into(),
+        }
+    }
+
+    /// An [`Error::Calibration`].
+    pub fn calibration(
+        path: impl AsRef<Path>,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::Calibration {
             path: path.as_ref().to_path_buf(),
             problem: problem.into(),
             remedy: remedy.into(),

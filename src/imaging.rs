@@ -1,7 +1,8 @@
-//! Image files, PNG and JPEG in and out, and crops resampled from images.
+//! Image files, PNG and JPEG in and out, and crops and maps resampled from images.
 //!
 //! Whatever is decoded becomes 8-bit RGB. Knows nothing of labels, datasets and tensors.
 
+mod remap;
 mod resample;
 
 use std::fs;
@@ -13,6 +14,7 @@ use image::{DynamicImage, ImageFormat, ImageReader, Limits, RgbImage};
 
 use crate::error::{Error, Result};
 
+pub use remap::PixelMap;
 pub use resample::{
     ChannelStatistics, PlaneWindow, crop_into_planes, crop_resized, planes_from_image,
 };

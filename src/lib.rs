@@ -9,6 +9,7 @@
 //!
 //! ```text
 //! left, right image                                   [`imaging`]
+//!   |  undo the lenses, turn both onto the same rows  [`calibration`]
 //!   |  letterbox to multiples of 32                   [`geometry::letterbox`]
 //!   |  YOLO11, decode, suppress                       [`detector`], [`nn`], [`kernels`]
 //!   v
@@ -75,6 +76,7 @@
 //! | [`Error`] | what went wrong, with the file or value and the remedy |
 
 pub mod annotate;
+pub mod calibration;
 pub mod dataset;
 pub mod detector;
 pub mod device;

@@ -13,9 +13,9 @@ use image::RgbImage;
 use crate::detector::nms::NmsConfig;
 use crate::detector::{Detection, VehicleDetector};
 use crate::error::{Error, Result};
-use crate::geometry::{RigSettings, StereoRig};
+use crate::geometry::StereoRig;
 use crate::pairing::{PairingConfig, PairingMode};
-use crate::ranging::{DistanceEstimator, Sighting};
+use crate::ranging::{DistanceEstimator, RigNote, Sighting};
 use crate::train::StageFolder;
 
 use sides::Sides;
@@ -82,6 +82,8 @@ pub struct StereoRanger {
     filter: VehicleFilter,
     /// Numbers of the filter's classes; None for all.
     classes: Option<Vec<usize>>,
+    /// The rig of the images, where it is not the trained one.
+    given_rig: Option<StereoRig>,
 }
 
 /// A service may share one ranger among its threads.
@@ -138,7 +140,17 @@ impl StereoRanger {
             options: PredictOptions::default(),
             filter: VehicleFilter::default(),
             classes: None,
+            given_rig: None,
         })
+    }
+
+    /// The same for rectified images of this rig, see
+    /// [`CalibratedRig`](crate::calibration::CalibratedRig). Images must then be of its size, or the
+    /// same resized.
+    #[must_use]
+    pub fn with_rig(mut self, rig: StereoRig) -> Self {
+        self.given_rig = Some(rig);
+        self
     }
 
     /// The same with other options.
@@ -351,25 +363,40 @@ impl StereoRanger {
         Sides::new(images, found, rig, &self.options).pairs
     }
 
-    /// The trained rig at another resolution of the same field of view.
+    /// In what images of this size differ from those that the networks were trained on, and what is
+    /// done about it.
+    pub fn rig_notes(&self, (width, height): (u32, u32)) -> Vec<RigNote> {
+        let images = [width, height];
+        match &self.given_rig {
+            None => RigNote::of_size(self.rig(), images).into_iter().collect(),
+            Some(rig) => {
+                let calibrated = [rig.left.width, rig.left.height];
+                let resized =
+                    (calibrated != images).then_some(RigNote::Resized { calibrated, images });
+                let readout = self.estimator.header().readout;
+                let mut notes = RigNote::of_rig(self.rig(), rig, readout);
+                notes.extend(resized);
+                notes
+            }
+        }
+    }
+
+    /// The rig of images of this size: the given one, or the trained one at another resolution of
+    /// the same field of view.
     pub(crate) fn rig_for(&self, (width, height): (u32, u32)) -> Result<StereoRig> {
-        let rig = *self.rig();
-        if (rig.left.width, rig.left.height) == (width, height) {
-            return Ok(rig);
+        let size = [width, height];
+        match self.given_rig {
+            Some(rig) => rig.resized(size).ok_or_else(|| {
+                Error::value(
+                    format!("images of {width}x{height} pixels"),
+                    format!("the given rig has {}x{}", rig.left.width, rig.left.height),
+                    "give images of the calibrated cameras, or the same resized but not cut",
+                )
+            }),
+            None => Ok(self
+                .rig()
+                .resized(size)
+                .unwrap_or_else(|| self.rig().cropped(size))),
         }
-        let scale_x = f64::from(width) / f64::from(rig.left.width);
-        let scale_y = f64::from(height) / f64::from(rig.left.height);
-        let mut settings = RigSettings::from(rig);
-        (settings.width, settings.height) = (width, height);
-        for camera in [&mut settings.left, &mut settings.right]
-            .into_iter()
-            .flatten()
-        {
-            camera.focal_x_px *= scale_x;
-            camera.center_x_px *= scale_x;
-            camera.focal_y_px *= scale_y;
-            camera.center_y_px *= scale_y;
-        }
-        settings.try_into()
     }
 }

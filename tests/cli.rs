@@ -3,6 +3,8 @@
 
 #[path = "support/binary.rs"]
 mod binary;
+#[path = "cli/calibration.rs"]
+mod calibration;
 #[path = "cli/formats.rs"]
 mod formats;
 #[path = "cli/generate.rs"]

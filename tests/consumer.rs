@@ -18,6 +18,7 @@ fn build() -> std::path::PathBuf {
         ("twinsight/ndarray", cfg!(feature = "ndarray")),
         ("twinsight/wgpu", cfg!(feature = "wgpu")),
         ("twinsight/cuda", cfg!(feature = "cuda")),
+        ("twinsight/remote", cfg!(feature = "remote")),
     ]
     .iter()
     .filter_map(|(feature, is_on)| is_on.then_some(*feature))

@@ -21,11 +21,17 @@ use twinsight::detector::decode::Anchors;
 use twinsight::detector::loss::{LossGains, detection_loss};
 use twinsight::detector::weights::tensor_name;
 use twinsight::train::optimizer::{
-    AveragedWeights, clip_gradients, detector_optimizer, distance_optimizer, ema_decay,
-    schedule_factor,
+    AverageRule, clip_gradients, detector_optimizer, distance_optimizer, ema_decay, flat_values,
+    schedule_factor, with_values,
 };
 use twinsight::train::{OptimizerKind, Schedule};
 use twinsight::weights::StateDict;
+
+/// The reference's averaging.
+const AVERAGE: AverageRule = AverageRule {
+    longest: 0.9999,
+    ramp: 2000.0,
+};
 
 /// One weight, so named that it belongs to the group with weight decay.
 #[derive(Module, Debug)]
@@ -96,11 +102,12 @@ fn averaged_weights_follow_the_reference() {
     let (_, start) = fixture.f32("ema.start");
     let (_, models) = fixture.f32("ema.model");
     let (_, averages) = fixture.f64("ema.average_f64");
-    let mut average = AveragedWeights::new(&One::new(&start, [4], &device), 0.9999, 2000.0);
-    for (model, expected) in models.chunks_exact(4).zip(averages.chunks_exact(4)) {
+    let mut values = flat_values(&One::new(&start, [4], &device));
+    let steps = models.chunks_exact(4).zip(averages.chunks_exact(4));
+    for (update, (model, expected)) in (1..).zip(steps) {
         let model = One::new(model, [4], &device);
-        average.update(&model);
-        let values = network::values(&average.module(&model).weight.val());
+        values = AVERAGE.update(values, &model, update);
+        let values = network::values(&with_values(model, &values).weight.val());
         assert_abs(&values, expected, 1e-6, "averaged weights");
     }
 }
@@ -144,7 +151,8 @@ fn three_clipped_steps_through_the_network_end_at_the_reference_weights_and_stat
     let anchors = Anchors::new(extent[1], extent[2]);
     let input = network::detector_input(&fixture, &device);
     let mut model = network::detector(&fixture, &device);
-    let mut average = AveragedWeights::new(&model, 0.9999, 2000.0);
+    let mut average = flat_values(&model);
+    let mut updates = 0;
     let momentum = MomentumConfig::new()
         .with_momentum(0.9)
         .with_dampening(0.0)
@@ -178,7 +186,8 @@ fn three_clipped_steps_through_the_network_end_at_the_reference_weights_and_stat
         let (grads, norm) = clip_gradients(&model, grads, 10.0).unwrap();
         norms.push(norm);
         model = optimizer.step(0.001, model, grads);
-        average.update(&model);
+        updates += 1;
+        average = AVERAGE.update(average, &model, updates);
     }
     assert_close(
         &items,
@@ -189,7 +198,11 @@ fn three_clipped_steps_through_the_network_end_at_the_reference_weights_and_stat
     let expected = fixture.f32("out.steps.grad_norm_before_clip").1;
     assert_close(&norms, &expected, 5e-3, "gradient norms");
     check_first(&fixture, "out.steps.param4.", &model);
-    check_first(&fixture, "out.steps.ema4.", &average.module(&model));
+    check_first(
+        &fixture,
+        "out.steps.ema4.",
+        &with_values(model.valid(), &average),
+    );
     let state = StateDict::of(&model, tensor_name);
     for (name, tensor) in [("bn_mean", "running_mean"), ("bn_var", "running_var")] {
         let values = &state.tensors[&format!("model.0.bn.{tensor}")].1;

@@ -13,7 +13,8 @@ use twinsight::detector::loss::{ImageTargets, LossGains, detection_loss};
 use twinsight::detector::{RawOutput, Scale};
 use twinsight::ranging::ranging_loss;
 use twinsight::train::optimizer::{
-    AveragedWeights, clip_gradients, detector_optimizer, distance_optimizer, initialize, scalar,
+    AverageRule, clip_gradients, detector_optimizer, distance_optimizer, flat_values, initialize,
+    scalar,
 };
 use twinsight::train::{OptimizerKind, TrainConfig};
 use twinsight::{Error, Result};
@@ -42,8 +43,7 @@ const ROUNDS: usize = 2;
 struct Step {
     optimizer: ModuleOptimizer,
     clip_norm: Option<f64>,
-    /// Decay and ramp of averaged weights.
-    average: Option<(f64, f64)>,
+    average: Option<AverageRule>,
 }
 
 impl Step {
@@ -52,7 +52,10 @@ impl Step {
         Ok(Self {
             optimizer: detector_optimizer(settings.optimizer, settings.weight_decay)?,
             clip_norm: Some(settings.clip_norm),
-            average: Some((settings.ema_decay, settings.ema_ramp)),
+            average: Some(AverageRule {
+                longest: settings.ema_decay,
+                ramp: settings.ema_ramp,
+            }),
         })
     }
 
@@ -71,9 +74,8 @@ impl Step {
         loss: impl Fn(&M) -> Result<Tensor<1>>,
     ) -> Result<Timing> {
         initialize(&model);
-        let mut average = self
-            .average
-            .map(|(decay, ramp)| AveragedWeights::new(&model, decay, ramp));
+        let mut average = self.average.map(|rule| (rule, flat_values(&model)));
+        let mut updates = 0;
         measure(Effort::FEW, || {
             let total = loss(&model)?;
             // The training loop reads the loss at every step.
@@ -83,8 +85,9 @@ impl Step {
                 (grads, _) = clip_gradients(&model, grads, longest)?;
             }
             model = self.optimizer.step(RATE, model.clone(), grads);
-            if let Some(average) = &mut average {
-                average.update(&model);
+            if let Some((rule, values)) = &mut average {
+                updates += 1;
+                *values = rule.update(std::mem::take(values), &model, updates);
             }
             Ok(())
         })

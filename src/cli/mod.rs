@@ -3,6 +3,7 @@
 //! The only place that knows clap and that prints. Results go to standard output, everything else
 //! to standard error.
 
+mod calibration;
 mod devices;
 mod evaluate;
 mod export;

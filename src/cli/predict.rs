@@ -4,16 +4,19 @@ mod output;
 mod report;
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use clap::Args;
+use twinsight::calibration::CalibratedRig;
 use twinsight::device::DeviceName;
-use twinsight::geometry::Polygon;
+use twinsight::geometry::{Polygon, StereoCalibration};
 use twinsight::pairing::PairingMode;
 use twinsight::pipeline::{PredictOptions, SingleSided, StereoRanger, VehicleFilter};
 use twinsight::predict::{Sink, predict};
-use twinsight::sources::{FrameSource, Layout};
+use twinsight::sources::{FrameSource, Layout, StereoFrame};
 use twinsight::{Error, Result, files};
 
+use super::calibration::{CalibrationArgs, say_notes};
 use super::{terminal, values};
 use output::Outputs;
 
@@ -108,6 +111,8 @@ pub struct PredictArgs {
     /// Exit with 2 if any frame could not be used
     #[arg(long)]
     strict: bool,
+    #[command(flatten)]
+    calibration: CalibrationArgs,
 }
 
 const EXAMPLES: &str = "\
@@ -127,6 +132,11 @@ Examples:
   KITTI's folders, near the middle of the road only:
 
     twinsight predict --run checkpoints/quick training --roi \"300,375 900,375 650,180 550,180\"
+
+  Images of your own cameras, as they took them, with OpenCV's calibration in millimetres:
+
+    twinsight predict --run checkpoints/quick left.png right.png \\
+      --calib intrinsics.yml --calib extrinsics.yml --calib-baseline 0.12
 
   A stereo video to a video with boxes:
 
@@ -156,7 +166,7 @@ impl PredictArgs {
         outputs.check_names()?;
         let source = FrameSource::open(&self.inputs, self.layout)?;
         if source.is_single() {
-            return run_one(source, load, &outputs);
+            return self.run_one(source, load, &outputs, quiet);
         }
         self.run_many(source, load, &outputs, quiet)
     }
@@ -171,6 +181,52 @@ impl PredictArgs {
         }
     }
 
+    /// The ranger on the rig of the images, and what rectifies them.
+    fn on_rig(
+        &self,
+        ranger: StereoRanger,
+        calibration: Option<&StereoCalibration>,
+        size: (u32, u32),
+        quiet: bool,
+    ) -> Result<(StereoRanger, Option<CalibratedRig>)> {
+        let calibrated = calibration
+            .map(|calibration| self.calibration.rig(calibration, size))
+            .transpose()?;
+        let ranger = match &calibrated {
+            Some(calibrated) => ranger.with_rig(*calibrated.rig()),
+            None => ranger,
+        };
+        if !quiet {
+            say_notes(&ranger, size, calibrated.as_ref());
+        }
+        Ok((ranger, calibrated))
+    }
+
+    /// Measures one pair, which must be usable.
+    fn run_one(
+        &self,
+        source: FrameSource,
+        load: impl FnOnce() -> Result<StereoRanger>,
+        outputs: &Outputs,
+        quiet: bool,
+    ) -> Result<()> {
+        outputs.check_targets(true)?;
+        let Some(frame) = source.read_ahead(1)?.next() else {
+            return Ok(());
+        };
+        let calibration = self.calibration.load()?;
+        let mut images = frame.images?;
+        let size = images[0].dimensions();
+        let (ranger, calibrated) = self.on_rig(load()?, calibration.as_ref(), size, quiet)?;
+        if let Some(calibrated) = &calibrated {
+            images = calibrated.rectify(images)?;
+        }
+        let [left, right] = images;
+        let (mut found, _) = ranger.find(&[[&left, &right]])?;
+        let found = found.pop().unwrap_or_default();
+        outputs.write_one(&frame.name, frame.origins, [&left, &right], found)
+    }
+
     /// Frame after frame.
     fn run_many(
         &self,
@@ -182,9 +238,34 @@ impl PredictArgs {
         outputs.check_targets(false)?;
         let batch = usize::from(self.batch);
         let (len, rate_hz) = (source.len(), source.rate_hz());
-        let ranger = load()?;
+        let calibration = self.calibration.load()?;
+        let mut ranger = load()?;
+        let mut frames = source.read_ahead(2 * batch)?;
+        // The first usable frame tells the size of all, and with it the rig.
+        let mut first = Vec::new();
+        let size = loop {
+            let Some(frame) = frames.next() else {
+                break None;
+            };
+            let size = frame
+                .images
+                .as_ref()
+                .ok()
+                .map(|[left, _]| left.dimensions());
+            first.push(frame);
+            if size.is_some() {
+                break size;
+            }
+        };
+        let mut calibrated = None;
+        if let Some(size) = size {
+            (ranger, calibrated) = self.on_rig(ranger, calibration.as_ref(), size, quiet)?;
+        }
+        let frames = first
+            .into_iter()
+            .chain(frames)
+            .map(|frame| rectified(frame, calibrated.as_ref()));
         let mut sinks: Vec<Box<dyn Sink>> = outputs.sinks(rate_hz)?;
-        let frames = source.read_ahead(2 * batch)?;
         let outcome = terminal::with_progress(quiet, |progress| {
             progress.begin("predicting", len.unwrap_or(0));
             let outcome = predict(&ranger, frames, batch, &mut sinks, progress);
@@ -211,20 +292,15 @@ impl PredictArgs {
     }
 }
 
-/// Measures one pair, which must be usable.
-fn run_one(
-    source: FrameSource,
-    load: impl FnOnce() -> Result<StereoRanger>,
-    outputs: &Outputs,
-) -> Result<()> {
-    outputs.check_targets(true)?;
-    let Some(frame) = source.read_ahead(1)?.next() else {
-        return Ok(());
+/// A frame as the calibrated cameras would have taken it; the time that takes counts as reading.
+fn rectified(mut frame: StereoFrame, calibrated: Option<&CalibratedRig>) -> StereoFrame {
+    let Some(calibrated) = calibrated else {
+        return frame;
     };
-    let [left, right] = frame.images?;
-    let (mut found, _) = load()?.find(&[[&left, &right]])?;
-    let found = found.pop().unwrap_or_default();
-    outputs.write_one(&frame.name, frame.origins, [&left, &right], found)
+    let began = Instant::now();
+    frame.images = frame.images.and_then(|images| calibrated.rectify(images));
+    frame.read += began.elapsed();
+    frame
 }
 
 /// A polygon as it is typed, or in a file.

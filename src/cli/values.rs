@@ -40,6 +40,14 @@ pub fn share<T: FromStr + PartialOrd + From<u8>>(text: &str) -> Result<T, String
     }
 }
 
+/// A finite number above 0.
+pub fn above_zero(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("is no number above 0".to_owned()),
+    }
+}
+
 /// `sphere` or `tight`.
 pub fn box_kind() -> impl TypedValueParser<Value = BoxKind> {
     PossibleValuesParser::new(["sphere", "tight"]).try_map(|word| word.parse::<BoxKind>())

@@ -242,7 +242,7 @@ impl<'a> Judge<'a> {
     }
 
     /// Estimates the distances of labelled and of detected vehicles, all frames at once, and
-    /// matches them. Detected ones go the pipeline's way, with the rig that it knows.
+    /// matches them. Detected ones go the pipeline's way.
     fn range(&self, seen: &[Seen], judged: &mut Judged) -> Result<()> {
         let rig = self.dataset.rig();
         let own_rig = self.ranger.rig_for((rig.left.width, rig.left.height))?;

@@ -18,6 +18,7 @@ use crate::metrics::{DetectionSummary, DistanceErrors, DistanceSummary, Interval
 use crate::pairing::PairingMode;
 use crate::pipeline::{PredictOptions, StereoRanger, Vehicle};
 use crate::progress::Progress;
+use crate::ranging::RigNote;
 use crate::train::{TrainConfig, saved_config};
 
 /// Least intersection over union of a found and a labelled box of the same vehicle.
@@ -196,11 +197,15 @@ fn evaluate_into(
     progress: &dyn Progress,
 ) -> Result<Evaluation> {
     check_classes(ranger, dataset)?;
-    if dataset.rig() != ranger.rig() {
-        progress.note(
-            "the run was trained for another rig (resolution, focal length or baseline) than this \
-             dataset's: expect distances to be off",
-        );
+    let readout = ranger.estimator().header().readout;
+    let of_this_rig;
+    let mut ranger = ranger;
+    if dataset.info.stereo && dataset.rig() != ranger.rig() {
+        for note in RigNote::of_rig(ranger.rig(), dataset.rig(), readout) {
+            progress.note(&note.to_string());
+        }
+        of_this_rig = ranger.clone().with_rig(*dataset.rig());
+        ranger = &of_this_rig;
     }
     let kind = ranger.detector().header().box_kind;
     let frames = dataset.split(split);

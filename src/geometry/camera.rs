@@ -47,6 +47,16 @@ impl Camera {
         }
     }
 
+    /// Focal lengths and principal point.
+    pub fn intrinsics(&self) -> Intrinsics {
+        Intrinsics {
+            focal_x_px: self.focal_x_px,
+            focal_y_px: self.focal_y_px,
+            center_x_px: self.center_x_px,
+            center_y_px: self.center_y_px,
+        }
+    }
+
     /// Projects a point (metres, camera axes) to pixels. None when it is not in front of the camera.
     pub fn pixel_from_camera(&self, point_camera: [f64; 3]) -> Option<[f64; 2]> {
         let [x, y, z] = point_camera;
@@ -113,6 +123,20 @@ pub struct Intrinsics {
     pub center_x_px: f64,
     /// Principal point y.
     pub center_y_px: f64,
+}
+
+impl Intrinsics {
+    /// A camera with images of this size.
+    pub fn camera(&self, width: u32, height: u32) -> Camera {
+        Camera {
+            width,
+            height,
+            focal_x_px: self.focal_x_px,
+            focal_y_px: self.focal_y_px,
+            center_x_px: self.center_x_px,
+            center_y_px: self.center_y_px,
+        }
+    }
 }
 
 impl StereoRig {
@@ -198,19 +222,13 @@ impl StereoRig {
 
 impl From<StereoRig> for RigSettings {
     fn from(rig: StereoRig) -> Self {
-        let intrinsics = |c: Camera| Intrinsics {
-            focal_x_px: c.focal_x_px,
-            focal_y_px: c.focal_y_px,
-            center_x_px: c.center_x_px,
-            center_y_px: c.center_y_px,
-        };
         Self {
             width: rig.left.width,
             height: rig.left.height,
             baseline_m: rig.baseline_m,
             hfov_deg: None,
-            left: Some(intrinsics(rig.left)),
-            right: Some(intrinsics(rig.right)),
+            left: Some(rig.left.intrinsics()),
+            right: Some(rig.right.intrinsics()),
         }
     }
 }
@@ -250,14 +268,7 @@ impl TryFrom<RigSettings> for StereoRig {
                     "give the calibrated intrinsics in pixels",
                 ));
             }
-            Ok(Camera {
-                width,
-                height,
-                focal_x_px: i.focal_x_px,
-                focal_y_px: i.focal_y_px,
-                center_x_px: i.center_x_px,
-                center_y_px: i.center_y_px,
-            })
+            Ok(i.camera(width, height))
         };
         match (hfov_deg, left, right) {
             (Some(hfov), None, None) if hfov > 0.0 && hfov < 180.0 => {

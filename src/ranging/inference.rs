@@ -8,8 +8,8 @@ use image::RgbImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{RangingConfig, RangingNetwork, Readout};
-use crate::dataset::{BoxKind, CompositeSize, composite_into_planes, geometry_vector};
+use super::{RangingConfig, RangingNetwork, Readout, sizes_as_trained};
+use crate::dataset::{BoxKind, CompositeSize, composite_into_planes};
 use crate::error::{Error, Result};
 use crate::geometry::{PixelBox, StereoRig};
 use crate::imaging::ChannelStatistics;
@@ -117,19 +117,15 @@ impl DistanceEstimator {
         &self.header
     }
 
-    /// The distance of each vehicle, metres, given the rig that took the images.
+    /// The distance of each vehicle, metres, given the rig that took the images. Where it is another
+    /// than the trained one, box sizes become what they would have been with that one.
     ///
     /// # Errors
     /// A device that fails.
     pub fn estimate(&self, sightings: &[Sighting], rig: &StereoRig) -> Result<Vec<f64>> {
         let mut distances_m = Vec::with_capacity(sightings.len());
         for batch in sightings.chunks(BATCH) {
-            let (composites, geometry) = stack(
-                batch,
-                self.header.composite,
-                &self.header.normalization,
-                &self.device,
-            );
+            let (composites, geometry) = stack(batch, &self.header, rig, &self.device);
             let estimated = self.network.forward(composites, geometry);
             let values = estimated.try_into_vec_as::<f32>().map_err(|source| {
                 Error::device(
@@ -152,10 +148,11 @@ impl DistanceEstimator {
 /// Composites `[batch, 3, height, width]`, normalised, and geometry vectors `[batch, 2]`.
 fn stack(
     sightings: &[Sighting],
-    size: CompositeSize,
-    normalization: &ChannelStatistics,
+    header: &RangingHeader,
+    rig: &StereoRig,
     device: &Device,
 ) -> (Tensor<4>, Tensor<2>) {
+    let (size, normalization) = (header.composite, &header.normalization);
     let mut planes = vec![0.0; sightings.len() * size.plane_values()];
     planes
         .par_chunks_exact_mut(size.plane_values())
@@ -167,8 +164,8 @@ fn stack(
     let geometry: Vec<f32> = sightings
         .iter()
         .flat_map(|sighting| {
-            let (width, height) = sighting.images[0].dimensions();
-            geometry_vector(&sighting.boxes[0], &sighting.boxes[1], width, height)
+            let [left, right] = &sighting.boxes;
+            sizes_as_trained([left, right], rig, &header.rig)
         })
         .collect();
     let shape = [

@@ -4,10 +4,12 @@ mod inference;
 mod loss;
 mod merge;
 mod network;
+mod other_rig;
 mod readout;
 
 pub use inference::{DistanceEstimator, RangingHeader, Sighting};
 pub use loss::{RangingLoss, ranging_loss};
 pub use merge::compose_convolutions;
 pub use network::{BLOCK_CHANNELS, RangingConfig, RangingFeatures, RangingNetwork};
+pub use other_rig::{RigNote, sizes_as_trained};
 pub use readout::Readout;

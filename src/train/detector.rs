@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::augment::{DetectionAugment, Scene, augmented_letterbox, augmented_mosaic};
 use super::config::{DetectorMerit, DetectorTraining, TrainConfig};
 use super::log::EpochRow;
-use super::optimizer::{detector_optimizer, freeze};
+use super::optimizer::{AverageRule, detector_optimizer, freeze};
 use super::stage::{PassLoss, PreparedStage, Recipe, Steering, device_of};
 use crate::annotate::{Annotation, annotate_pair};
 use crate::dataset::{DetectionItem, DetectionSource, Split, StereoDataset};
@@ -162,7 +162,10 @@ impl DetectorRecipe {
             schedule: settings.schedule,
             warmup_epochs: settings.warmup_epochs,
             clip_norm: Some(settings.clip_norm),
-            average: Some((settings.ema_decay, settings.ema_ramp)),
+            average: Some(AverageRule {
+                longest: settings.ema_decay,
+                ramp: settings.ema_ramp,
+            }),
             validate_every: settings.validate_every,
             patience: settings.patience,
             keep_last: settings.keep_last,

@@ -16,7 +16,7 @@ use super::config::{DistanceMerit, DistanceTraining, TrainConfig};
 use super::frame_cache::FrameCache;
 use super::log::EpochRow;
 use super::normalize::normalize_layers;
-use super::optimizer::{distance_optimizer, freeze, initialize};
+use super::optimizer::{AverageRule, distance_optimizer, freeze, initialize};
 use super::readout::fit_readout;
 use super::stage::{PassLoss, PreparedStage, Recipe, Steering, device_of};
 use crate::annotate::write_text;
@@ -235,7 +235,10 @@ impl DistanceRecipe {
             warmup_epochs: settings.warmup_epochs,
             clip_norm: None,
             average: (settings.ema_decay > 0.0)
-                .then_some((settings.ema_decay, settings.ema_ramp)),
+                .then_some(AverageRule {
+                    longest: settings.ema_decay,
+                    ramp: settings.ema_ramp,
+                }),
             validate_every: settings.validate_every,
             patience: settings.patience,
             keep_last: settings.keep_last,

@@ -6,7 +6,7 @@ use burn::optim::momentum::MomentumConfig;
 use burn::optim::{AdamConfig, AdamWConfig, GradientsParams, ModuleOptimizer, SgdConfig};
 use burn::tensor::Tensor;
 
-use super::config::OptimizerKind;
+use super::config::{OptimizerKind, Schedule};
 use crate::error::{Error, Result};
 
 /// Adam's guard against division by zero.
@@ -160,15 +160,48 @@ fn parameter_paths<M: Module>(module: &M) -> Vec<String> {
     paths.found
 }
 
+/// Factor of the learning rate after so many epochs (fractions allowed) of `epochs`.
+pub fn schedule_factor(schedule: Schedule, epoch: f64, epochs: f64, last: f64) -> f64 {
+    match schedule {
+        Schedule::Linear => (1.0 - epoch / epochs).max(0.0) * (1.0 - last) + last,
+        Schedule::Cosine => {
+            1.0 + (last - 1.0) * (1.0 - (std::f64::consts::PI * epoch / epochs).cos()) / 2.0
+        }
+    }
+}
+
 /// Decay of the averaged weights at update number `update` (from 1): short at first.
 pub fn ema_decay(longest: f64, ramp: f64, update: u64) -> f64 {
     longest * (1.0 - (-(update as f64) / ramp).exp())
 }
 
-/// One update of an exponential moving average.
-pub fn average_into(average: Tensor<1>, value: Tensor<1>, decay: f64) -> Tensor<1> {
-    // In this form the average of what never changes stays what it is, to the bit.
-    average.clone() + (value - average).mul_scalar(1.0 - decay)
+/// How averaged weights follow a network (yolo11.md, section 8.3).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AverageRule {
+    /// Decay after many updates.
+    pub longest: f64,
+    /// Updates over which the decay rises.
+    pub ramp: f64,
+}
+
+impl AverageRule {
+    /// Moves averages, those of [`flat_values`] at first, towards a module's present weights; updates
+    /// count from 1.
+    pub fn update<M: Module>(
+        self,
+        averages: Vec<Tensor<1>>,
+        module: &M,
+        update: u64,
+    ) -> Vec<Tensor<1>> {
+        let decay = ema_decay(self.longest, self.ramp, update);
+        let values = averages.into_iter().zip(flat_values(module));
+        values
+            .map(|(average, value)| {
+                // In this form the average of what never changes stays what it is, to the bit.
+                average.clone() + (value - average).mul_scalar(1.0 - decay)
+            })
+            .collect()
+    }
 }
 
 /// A module with other floating tensors, running statistics included: those of [`flat_values`].
@@ -293,6 +326,14 @@ mod tests {
     use burn::tensor::Device;
 
     #[test]
+    fn both_schedules_start_at_one_and_end_at_the_last_rate() {
+        for schedule in [Schedule::Linear, Schedule::Cosine] {
+            assert!((schedule_factor(schedule, 0.0, 30.0, 0.01) - 1.0).abs() < 1e-12);
+            assert!((schedule_factor(schedule, 30.0, 30.0, 0.01) - 0.01).abs() < 1e-12);
+        }
+    }
+
+    #[test]
     fn clipping_brings_the_global_norm_to_the_limit_and_leaves_short_gradients_alone() {
         let device = Device::flex().autodiff();
         let layer = DenseConfig::new(3, 2).init(&device);
@@ -313,11 +354,11 @@ mod tests {
     fn averaged_weights_of_a_still_module_are_the_module() {
         let device = Device::flex();
         let layer = DenseConfig::new(3, 2).init(&device);
-        let values = flat_values(&layer);
-        let averages: Vec<_> = values
-            .iter()
-            .map(|value| average_into(value.clone(), value.clone(), 0.9))
-            .collect();
+        let rule = AverageRule {
+            longest: 0.9,
+            ramp: 10.0,
+        };
+        let averages = rule.update(flat_values(&layer), &layer, 1);
         let difference = (with_values(layer.clone(), &averages).weight.val() - layer.weight.val())
             .abs()
             .max();

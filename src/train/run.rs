@@ -98,11 +98,11 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
     let device = devices.main();
     if request.stage != Stage::Distance {
         let stage = DetectorRecipe::prepared(request.config, &dataset, device, progress)?;
-        summary.detector_seconds = Some(run_announced(stage, place())?.seconds);
+        summary.detector_seconds = Some(run_announced(stage, &place())?.seconds);
     }
     if request.stage != Stage::Detector {
         let stage = DistanceRecipe::prepared(request.config, &dataset, device, progress)?;
-        summary.distance_seconds = Some(run_announced(stage, place())?.seconds);
+        summary.distance_seconds = Some(run_announced(stage, &place())?.seconds);
     }
     let complete = ["detector", "distance"]
         .iter()
@@ -190,11 +190,11 @@ fn refuse_unlearnable(request: &TrainRequest, dataset: &StereoDataset) -> Result
 }
 
 /// Runs a stage and says what on, and what came of it.
-fn run_announced<R: Recipe>(stage: PreparedStage<R>, place: StagePlace) -> Result<StageResult> {
+fn run_announced<R: Recipe>(stage: PreparedStage<R>, place: &StagePlace) -> Result<StageResult> {
     let progress = place.progress;
     let items = stage.recipe.items();
     progress.note(&format!("{}: {items} training images", R::STAGE));
-    let result = run_stage(stage, &place)?;
+    let result = run_stage(stage, place)?;
     if let Some((_, epoch)) = result.best {
         progress.note(&format!(
             "{}: best weights are those of epoch {epoch}",

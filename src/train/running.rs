@@ -67,8 +67,8 @@ impl SharedTraining {
 
     /// The network of the next step: with the mean of all devices' statistics, or, where every device
     /// keeps a network of its own, with that device's.
-    pub fn settle<M: Module>(&self, network: M) -> M {
-        let device = device_of(&network);
+    pub fn settle<M: Module>(&self, network: &M) -> M {
+        let device = device_of(network);
         let own = network.valid().train().fork(&device);
         let mut statistics = self.statistics();
         let all = if self.devices.is_collective() {

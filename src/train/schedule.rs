@@ -3,7 +3,7 @@
 use burn::optim::LearningRate;
 use burn::optim::lr_scheduler::{LrScheduler, LrSchedulerRecord};
 
-use super::config::Schedule;
+use super::optimizer::schedule_factor;
 use super::stage::Steering;
 
 /// Name of the step count in the scheduler's record.
@@ -56,27 +56,9 @@ impl LrScheduler for RiseAndFall {
     }
 }
 
-/// Factor of the learning rate after so many epochs (fractions allowed) of `epochs`.
-pub fn schedule_factor(schedule: Schedule, epoch: f64, epochs: f64, last: f64) -> f64 {
-    match schedule {
-        Schedule::Linear => (1.0 - epoch / epochs).max(0.0) * (1.0 - last) + last,
-        Schedule::Cosine => {
-            1.0 + (last - 1.0) * (1.0 - (std::f64::consts::PI * epoch / epochs).cos()) / 2.0
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn both_schedules_start_at_one_and_end_at_the_last_rate() {
-        for schedule in [Schedule::Linear, Schedule::Cosine] {
-            assert!((schedule_factor(schedule, 0.0, 30.0, 0.01) - 1.0).abs() < 1e-12);
-            assert!((schedule_factor(schedule, 30.0, 30.0, 0.01) - 0.01).abs() < 1e-12);
-        }
-    }
 
     #[test]
     fn a_restored_schedule_goes_on_where_the_saved_one_was() {

@@ -21,6 +21,7 @@ use super::devices::DeviceSet;
 use super::loader::{CheckLoader, PassLoader, steps_per_epoch};
 use super::log::{EpochRow, SharedLog};
 use super::metrics::{Showcase, TrainingMetric, ValidationMetric};
+use super::optimizer::AverageRule;
 use super::reporting::{MetricsLog, ProgressRenderer, Report};
 use super::schedule::RiseAndFall;
 use super::trainee::{Failure, Trainee, TraineeOf};
@@ -53,8 +54,8 @@ pub struct Steering {
     pub warmup_epochs: f64,
     /// Longest global gradient norm, if limited.
     pub clip_norm: Option<f64>,
-    /// Decay and ramp of averaged weights, if averaged.
-    pub average: Option<(f64, f64)>,
+    /// How averaged weights follow, if averaged.
+    pub average: Option<AverageRule>,
     /// Validate every so many epochs.
     pub validate_every: u32,
     /// Stop after so many epochs without a better result; 0 never does.

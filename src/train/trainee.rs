@@ -15,7 +15,7 @@ use image::RgbImage;
 use super::devices::DeviceSet;
 use super::loader::{Check, Pass};
 use super::optimizer::{
-    average_into, clip_gradients, ema_decay, flat_values, initialize, named_weights, with_values,
+    AverageRule, clip_gradients, flat_values, initialize, named_weights, with_values,
 };
 use super::running::SharedTraining;
 use super::stage::{Recipe, Steering};
@@ -53,8 +53,8 @@ pub struct Course<R: Recipe> {
     pub recipe: Arc<R>,
     /// Longest global gradient norm.
     longest: f64,
-    /// Decay and ramp of averaged weights.
-    average: Option<(f64, f64)>,
+    /// How averaged weights follow.
+    average: Option<AverageRule>,
     /// Optimiser steps taken.
     pub steps: u64,
     /// What several devices share.
@@ -146,12 +146,15 @@ impl<R: Recipe> TraineeOf<R> {
         if self.average.is_empty() {
             return self.network.valid();
         }
-        let values: Vec<_> = self
-            .average
-            .iter()
+        with_values(self.network.valid(), &self.averages())
+    }
+
+    /// The averaged weights, free of autodiff.
+    fn averages(&self) -> Vec<Tensor<1>> {
+        let values = self.average.iter();
+        values
             .map(|values| values.val().without_autodiff())
-            .collect();
-        with_values(self.network.valid(), &values)
+            .collect()
     }
 
     /// What validates this copy.
@@ -267,22 +270,17 @@ where
         drop(norms);
         let mut settled = self;
         if let Some(shared) = settled.course.shared.clone() {
-            settled.network = shared.settle(settled.network);
+            settled.network = shared.settle(&settled.network);
         }
         let mut trained = optimizer.step(rate, settled, grads);
         trained.course.steps += 1;
-        if let Some((longest, ramp)) = trained.course.average {
-            let decay = ema_decay(longest, ramp, trained.course.steps);
-            let values = flat_values(&trained.network);
-            trained.average = std::mem::take(&mut trained.average)
+        if let Some(rule) = trained.course.average {
+            let ids: Vec<ParamId> = trained.average.iter().map(|values| values.id).collect();
+            let values = rule.update(trained.averages(), &trained.network, trained.course.steps);
+            trained.average = ids
                 .into_iter()
                 .zip(values)
-                .map(|(average, value)| {
-                    average.map(|average| {
-                        let average = average.without_autodiff();
-                        Tensor::from_inner(average_into(average, value, decay))
-                    })
-                })
+                .map(|(id, values)| Param::initialized(id, Tensor::from_inner(values)))
                 .collect();
         }
         trained

@@ -57,7 +57,7 @@ impl Drop for Serving {
 }
 
 fn losses(place: &Workplace, run: &str) -> Vec<f64> {
-    let mut rows = csv::Reader::from_path(place.path(&format!("{run}/metrics.csv"))).unwrap();
+    let mut rows = csv::Reader::from_path(place.path(format!("{run}/metrics.csv"))).unwrap();
     let headers = rows.headers().unwrap().clone();
     let columns = ["loss", "gradient_norm"]
         .map(|name| headers.iter().position(|header| header == name).unwrap());

@@ -3,15 +3,10 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use crate::calibration::HALF_PIXEL;
+use crate::calibration::kitti::rectified_pair;
 use crate::files;
 use crate::geometry::{Camera, Intrinsics, RigSettings, StereoRig};
-
-/// From KITTI's pixel coordinates to this crate's.
-pub(super) const HALF_PIXEL: f64 = 0.5;
-
-/// The cameras of a rectified pair may stand this much above or ahead of each other, metres: a
-/// tenth of a pixel of a car at 20 m. KITTI's own calibrations say 3 mm.
-const ASKEW_M: f64 = 0.02;
 
 /// Both cameras as one calibration file gives them; sizes of images are not in it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,23 +22,25 @@ impl Calibration {
     /// Reads a file; the reason against it in words.
     pub fn read(path: &Path) -> Result<Self, String> {
         let text = files::read_text(path).map_err(|error| error.to_string())?;
-        let (left, left_m) = projection(&text, "P2")?;
-        let (right, right_m) = projection(&text, "P3")?;
-        let baseline_m = left_m[0] - right_m[0];
+        let names = ["P2", "P3"].map(str::to_owned);
+        let pair = rectified_pair(&text, &names).map_err(|error| error.to_string())?;
+        let baseline_m = pair.baseline_m();
         if baseline_m <= 0.0 {
             return Err(format!(
                 "P2 and P3 put the right camera {} m to the left of the left one",
                 -baseline_m
             ));
         }
-        if (1..3).any(|i| (left_m[i] - right_m[i]).abs() > ASKEW_M) {
-            return Err("P2 and P3 are not the cameras of a rectified pair".to_owned());
+        let [left, right] = pair.intrinsics;
+        if left.focal_x_px <= 0.0 || left.focal_y_px <= 0.0 || right.focal_x_px <= 0.0 {
+            return Err("P2 and P3 have focal lengths that are not above 0".to_owned());
         }
+        let middle_m = (pair.offsets_m[0] + pair.offsets_m[1]) / 2.0;
         Ok(Self {
             left,
             right,
             baseline_m,
-            rig_from_reference_m: [0, 1, 2].map(|i| f64::midpoint(left_m[i], right_m[i])),
+            rig_from_reference_m: middle_m.to_array(),
         })
     }
 
@@ -74,32 +71,6 @@ impl Calibration {
         }
         .try_into()
     }
-}
-
-/// Intrinsics and translation of one projection matrix `K [I | t]`.
-fn projection(text: &str, name: &str) -> Result<(Intrinsics, [f64; 3]), String> {
-    let line = text
-        .lines()
-        .find_map(|line| line.trim().strip_prefix(name)?.strip_prefix(':'))
-        .ok_or_else(|| format!("has no {name}"))?;
-    let numbers = line
-        .split_whitespace()
-        .map(|word| super::super::number::finite(word, name))
-        .collect::<Result<Vec<f64>, String>>()?;
-    let [fx, skew, cx, px, lower, fy, cy, py, zero, zero_too, one, pz] = numbers[..] else {
-        return Err(format!("{name} has {} numbers, not 12", numbers.len()));
-    };
-    let plain = [skew, lower, zero, zero_too].iter().all(|v| v.abs() < 1e-6);
-    if !plain || (one - 1.0).abs() > 1e-6 || fx <= 0.0 || fy <= 0.0 {
-        return Err(format!("{name} is no projection of a rectified camera"));
-    }
-    let intrinsics = Intrinsics {
-        focal_x_px: fx,
-        focal_y_px: fy,
-        center_x_px: cx + HALF_PIXEL,
-        center_y_px: cy + HALF_PIXEL,
-    };
-    Ok((intrinsics, [(px - cx * pz) / fx, (py - cy * pz) / fy, pz]))
 }
 
 /// A calibration file for a rig; the left camera is the reference.

@@ -1,7 +1,7 @@
 //! The lines of KITTI's label files.
 
 use super::super::number::finite;
-use super::calib::HALF_PIXEL;
+use crate::calibration::HALF_PIXEL;
 use crate::geometry::{Cuboid, PixelBox};
 
 /// What KITTI calls a region whose objects were not labelled.

@@ -1,0 +1,128 @@
+//! The TOML form: this crate's own units and pixel coordinates.
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+
+use crate::error::{Error, Result};
+use crate::geometry::{CalibrationParts, Camera, Distortion, Intrinsics, LensCamera};
+
+/// A calibration as people write it; a dataset's `[rig]` is one too.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    width: u32,
+    height: u32,
+    hfov_deg: Option<f64>,
+    baseline_m: Option<f64>,
+    left: Option<CameraSettings>,
+    right: Option<CameraSettings>,
+    /// Rows of the matrix that takes the left camera's axes to the right one's.
+    rotation: Option<[[f64; 3]; 3]>,
+    translation_m: Option<[f64; 3]>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CameraSettings {
+    focal_x_px: f64,
+    focal_y_px: f64,
+    center_x_px: f64,
+    center_y_px: f64,
+    #[serde(default)]
+    distortion: Vec<f64>,
+}
+
+/// A dataset's `dataset.toml`, of which only the rig matters here.
+#[derive(Debug, Deserialize)]
+struct WithRig {
+    rig: Settings,
+}
+
+pub(super) fn parse(text: &str, baseline_m: Option<f64>) -> Result<CalibrationParts> {
+    let invalid = |error: toml::de::Error| {
+        Error::value(
+            "TOML",
+            error.to_string().trim_end().to_owned(),
+            "correct it; docs/calibration.md has an example",
+        )
+    };
+    let table: toml::Table = text.parse().map_err(invalid)?;
+    let settings = if table.contains_key("rig") {
+        toml::from_str::<WithRig>(text).map_err(invalid)?.rig
+    } else {
+        toml::from_str(text).map_err(invalid)?
+    };
+    parts(settings, baseline_m)
+}
+
+fn parts(settings: Settings, baseline_m: Option<f64>) -> Result<CalibrationParts> {
+    let Settings { width, height, .. } = settings;
+    let cameras = match (settings.hfov_deg, settings.left, settings.right) {
+        (Some(hfov_deg), None, None) if hfov_deg > 0.0 && hfov_deg < 180.0 => {
+            [plain(Camera::from_hfov(width, height, hfov_deg)); 2]
+        }
+        (Some(hfov_deg), None, None) => {
+            return Err(Error::value(
+                format!("hfov_deg = {hfov_deg}"),
+                "is no field of view of a pinhole camera",
+                "give degrees between 0 and 180",
+            ));
+        }
+        (None, Some(left), Some(right)) => [lens(&left)?, lens(&right)?],
+        _ => {
+            return Err(Error::value(
+                "cameras",
+                "either hfov_deg or both [left] and [right] are needed",
+                "give exactly one of the two forms",
+            ));
+        }
+    };
+    let rotation = settings.rotation.map_or(DMat3::IDENTITY, |rows| {
+        // The columns of the transpose are its rows.
+        DMat3::from_cols_array_2d(&rows).transpose()
+    });
+    let translation_m = match (settings.translation_m, settings.baseline_m.or(baseline_m)) {
+        (Some(_), Some(_)) if settings.baseline_m.is_some() => {
+            return Err(Error::value(
+                "baseline_m and translation_m",
+                "say the same thing twice",
+                "leave one of them",
+            ));
+        }
+        (Some(translation_m), _) => DVec3::from_array(translation_m),
+        (None, Some(baseline_m)) => rotation * DVec3::new(-baseline_m, 0.0, 0.0),
+        (None, None) => {
+            return Err(Error::value(
+                "baseline_m",
+                "the distance between the cameras is missing",
+                "give baseline_m or translation_m, or --calib-baseline",
+            ));
+        }
+    };
+    Ok(CalibrationParts {
+        size: Some([width, height]),
+        cameras,
+        rotation,
+        translation_m,
+        given: None,
+    })
+}
+
+fn plain(camera: Camera) -> LensCamera {
+    LensCamera {
+        intrinsics: camera.intrinsics(),
+        distortion: Distortion::NONE,
+    }
+}
+
+fn lens(settings: &CameraSettings) -> Result<LensCamera> {
+    Ok(LensCamera {
+        intrinsics: Intrinsics {
+            focal_x_px: settings.focal_x_px,
+            focal_y_px: settings.focal_y_px,
+            center_x_px: settings.center_x_px,
+            center_y_px: settings.center_y_px,
+        },
+        distortion: Distortion::from_coefficients(&settings.distortion)?,
+    })
+}

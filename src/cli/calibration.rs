@@ -1,0 +1,85 @@
+//! `--calib` and what belongs to it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use twinsight::Result;
+use twinsight::calibration::{CalibratedRig, ImageState, LoadOptions, RigOptions, load};
+use twinsight::geometry::StereoCalibration;
+use twinsight::pipeline::StereoRanger;
+
+use super::{stderr, values};
+
+/// Which cameras took the images.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Other cameras than the trained ones")]
+pub struct CalibrationArgs {
+    /// Calibration of the cameras that took the images: OpenCV's stereo YAML (given twice where it is
+    /// in two files), KITTI's calib text, a camera matrix and a baseline in two lines, or TOML. Images
+    /// that are not rectified are rectified by it; boxes are then those of the rectified images
+    #[arg(long, value_name = "FILE")]
+    calib: Vec<PathBuf>,
+    /// Distance between the cameras, in place of the calibration's, which may be in other units
+    #[arg(long, value_name = "METRES", value_parser = values::above_zero, requires = "calib")]
+    calib_baseline: Option<f64>,
+    /// The images are rectified already, with the projections of the calibration
+    #[arg(long, requires = "calib")]
+    calib_rectified: bool,
+    /// How much of unrectified images is kept: 0 for no black borders, 1 for everything that was seen
+    /// [default: as the calibration says, or 0]
+    #[arg(long, value_name = "ALPHA", value_parser = values::share::<f32>, requires = "calib", conflicts_with = "calib_rectified")]
+    calib_alpha: Option<f32>,
+    /// Take KITTI's grey cameras, 0 and 1, and not the colour ones, 2 and 3
+    #[arg(long, requires = "calib")]
+    calib_grey: bool,
+}
+
+impl CalibrationArgs {
+    /// Reads the calibration, if one is given.
+    pub fn load(&self) -> Result<Option<StereoCalibration>> {
+        if self.calib.is_empty() {
+            return Ok(None);
+        }
+        let options = LoadOptions {
+            baseline_m: self.calib_baseline,
+            kitti_grey: self.calib_grey,
+        };
+        load(&self.calib, &options).map(Some)
+    }
+
+    /// The calibration ready for images of this size.
+    pub fn rig(&self, calibration: &StereoCalibration, size: (u32, u32)) -> Result<CalibratedRig> {
+        let options = RigOptions {
+            images: if self.calib_rectified {
+                ImageState::Rectified
+            } else {
+                ImageState::Auto
+            },
+            alpha: self.calib_alpha.map(f64::from),
+        };
+        CalibratedRig::new(calibration, size.into(), options).map_err(|error| self.of_file(error))
+    }
+
+    /// The error of a value, said of the file that it comes from.
+    fn of_file(&self, error: twinsight::Error) -> twinsight::Error {
+        match (error, self.calib.first()) {
+            (
+                twinsight::Error::Value {
+                    name,
+                    problem,
+                    remedy,
+                },
+                Some(path),
+            ) => twinsight::Error::calibration(path, format!("{name}: {problem}"), remedy),
+            (error, _) => error,
+        }
+    }
+}
+
+/// Says in what the images differ from those that the run was trained on.
+pub fn say_notes(ranger: &StereoRanger, size: (u32, u32), calibrated: Option<&CalibratedRig>) {
+    let resized = calibrated.and_then(CalibratedRig::note);
+    for note in resized.into_iter().chain(ranger.rig_notes(size)) {
+        stderr::line(&format!("note: {note}"));
+    }
+}
