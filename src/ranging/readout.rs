@@ -1,4 +1,5 @@
-//! What the network's output stands for: metres to the vehicle, or metres of vehicle.
+//! What the network's output stands for: metres to the vehicle, metres of vehicle, or metres behind
+//! its surface.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +23,14 @@ pub enum Readout {
     Distance,
     /// The extent across the line of sight that the boxes enclose, metres.
     Size,
+    /// How far the vehicle's centre, which is labelled, lies behind its visible surface, which
+    /// matching measures; metres. Only where the disparity is measured.
+    ///
+    /// That depends on which vehicle it is and from where it is seen, which a crop shows, and not on
+    /// the distance: on rendered streets (640 pixels wide, 90 degrees) its median is 0.5 m and its
+    /// spread 0.4 m near 10 m as near 40 m, while the spread as a ratio falls to half on the way, and
+    /// in pixels of disparity to a sixth. The last layer, which can only add, need not learn that.
+    Surface,
 }
 
 impl Readout {
@@ -33,7 +42,7 @@ impl Readout {
     /// `size / side`, and the distance lies along the ray.
     pub fn distance_per_output(self, boxes: [&PixelBox; 2], rig: &StereoRig) -> f64 {
         match self {
-            Self::Distance => 1.0,
+            Self::Distance | Self::Surface => 1.0,
             Self::Size => {
                 let [left, right] = boxes;
                 f64::midpoint(

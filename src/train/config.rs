@@ -9,7 +9,7 @@ use crate::dataset::{BoxKind, CompositeSize, SplitBy};
 use crate::detector::Scale;
 use crate::error::{Error, Result};
 use crate::files;
-use crate::ranging::Readout;
+use crate::ranging::{Crops, Readout};
 
 /// The presets that come with the program.
 const PRESETS: [(&str, &str); 2] = [
@@ -164,6 +164,13 @@ pub struct DistanceTraining {
     /// What the network's output stands for.
     #[serde(default)]
     pub readout: Readout,
+    /// Which crops the composites hold.
+    #[serde(default)]
+    pub inputs: Crops,
+    /// Extend the geometry vector by the sub-pixel disparity of the box's pixels, measured as
+    /// prediction does on the boxes and images that the network sees.
+    #[serde(default)]
+    pub disparity: bool,
     /// Passes over the training vehicles.
     pub epochs: u32,
     /// Composites per optimiser step.
@@ -347,6 +354,13 @@ impl TrainConfig {
             }
         }
         CompositeSize::new(distance.composite.height, distance.composite.width)?;
+        if distance.readout == Readout::Surface && !distance.disparity {
+            return Err(Error::value(
+                "distance.readout = \"surface\"",
+                "counts from the surface that the disparity shows, which is not measured",
+                "set distance.disparity = true as well, or another readout",
+            ));
+        }
         Ok(())
     }
 }

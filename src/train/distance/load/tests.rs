@@ -1,0 +1,103 @@
+use burn::tensor::Device;
+use image::{Rgb, RgbImage};
+
+use super::*;
+use crate::dataset::fixture::Fixture;
+use crate::progress::Silent;
+use crate::ranging::Readout;
+use crate::train::TrainConfig;
+
+/// A texture without repetition, moved to the left.
+fn texture(shift: u32) -> RgbImage {
+    RgbImage::from_fn(320, 180, |x, y| {
+        let mixed = ((x + shift) * 7919 + y * 104_729).wrapping_mul(2_654_435_761);
+        Rgb([(mixed >> 24) as u8; 3])
+    })
+}
+
+fn recipe(fixture: &Fixture, change: impl Fn(&mut TrainConfig)) -> DistanceRecipe {
+    let mut config = TrainConfig::preset("quick").unwrap();
+    config.distance.disparity = true;
+    config.distance.readout = Readout::Surface;
+    change(&mut config);
+    DistanceRecipe::new(&config, &fixture.open(), &Device::flex(), &Silent).unwrap()
+}
+
+#[test]
+fn the_mirrored_pair_shows_the_same_surface() {
+    let rig = StereoRig::from_hfov(320, 180, 90.0, 0.8).unwrap();
+    let images = [texture(0), texture(14)];
+    for x in [120.0, 160.0, 230.5] {
+        let sighting = Sighting {
+            images: [&images[0], &images[1]],
+            boxes: [x, x - 14.0].map(|x| PixelBox::from_center([x, 80.0], 60.0, 60.0)),
+        };
+        let [plain, mirrored] =
+            [false, true].map(|is_mirrored| measured_m(&sighting, &rig, is_mirrored).unwrap());
+        assert!((plain / mirrored - 1.0).abs() < 1e-3, "{plain} {mirrored}");
+    }
+}
+
+#[test]
+fn what_is_loaded_depends_on_seed_epoch_and_vehicle_alone() {
+    let fixture = Fixture::lawful(10);
+    let all: Vec<usize> = (0..4).collect();
+    let load = |recipe: &DistanceRecipe, epoch: u32, items: &[usize]| {
+        let vehicles: Vec<Vehicle> = items.iter().map(|&i| recipe.train[i].clone()).collect();
+        recipe.composites(&vehicles, Some((epoch, items))).unwrap()
+    };
+    let [one, another] = [0, 0].map(|_| recipe(&fixture, |_| ()));
+    let whole = load(&one, 3, &all);
+    // Other neighbours in the batch, another order, another recipe, one thread.
+    let single = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build()
+        .unwrap();
+    let pair = single.install(|| load(&another, 3, &[2, 0]));
+    let values = one.settings.composite.plane_values();
+    assert_eq!(pair.planes[..values], whole.planes[2 * values..3 * values]);
+    assert_eq!(pair.readings[0], whole.readings[2]);
+    assert_eq!(pair.readings[1], whole.readings[0]);
+    let later = load(&one, 4, &all);
+    assert_ne!(later.readings, whole.readings, "boxes move every epoch");
+}
+
+#[test]
+fn a_surface_is_measured_once_where_boxes_do_not_move() {
+    let fixture = Fixture::lawful(10);
+    let still = recipe(&fixture, |config| config.distance.box_jitter = 0.0);
+    let items = [0, 1];
+    still
+        .composites(&still.train[..2], Some((0, &items)))
+        .unwrap();
+    still.composites(&still.train[..2], None).unwrap();
+    for vehicle in &still.train[..2] {
+        assert!(vehicle.surfaces_m[0].get().is_some());
+    }
+    let moved = recipe(&fixture, |_| ());
+    moved
+        .composites(&moved.train[..2], Some((0, &items)))
+        .unwrap();
+    assert!(moved.train[0].surfaces_m.iter().all(|m| m.get().is_none()));
+}
+
+#[test]
+fn the_empty_half_of_mono_stays_empty_under_every_change() {
+    let fixture = Fixture::lawful(10);
+    let mono = recipe(&fixture, |config| {
+        config.distance.inputs = Crops::Mono;
+        config.distance.photometric = 0.5;
+        config.distance.flip = 0.5;
+    });
+    let size = mono.settings.composite;
+    let half = size.width as usize * size.width as usize;
+    for epoch in 0..4 {
+        let loaded = mono
+            .composites(&mono.train[..2], Some((epoch, &[0, 1])))
+            .unwrap();
+        for plane in loaded.planes.chunks_exact(2 * half) {
+            assert!(plane[half..].iter().all(|value| *value == 0.0));
+            assert!(plane[..half].iter().any(|value| *value != 0.0));
+        }
+    }
+}
