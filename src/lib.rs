@@ -60,6 +60,7 @@
 //!
 //! Distances from a trained run: see [`pipeline::StereoRanger`].
 
+pub mod ablate;
 pub mod annotate;
 pub mod dataset;
 pub mod detector;

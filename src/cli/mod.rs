@@ -3,6 +3,7 @@
 //! The only place that knows clap and that prints. Results go to standard output, everything else
 //! to standard error.
 
+mod ablate;
 mod devices;
 mod evaluate;
 mod export;
@@ -63,6 +64,7 @@ enum Command {
     Prepare(prepare::PrepareArgs),
     Train(Box<train::TrainArgs>),
     Evaluate(evaluate::EvaluateArgs),
+    Ablate(ablate::AblateArgs),
     Report(report::ReportArgs),
     Predict(predict::PredictArgs),
     Devices(devices::DevicesArgs),
@@ -80,6 +82,7 @@ impl Cli {
             Command::Prepare(args) => args.run(self.quiet),
             Command::Train(args) => args.run(self.quiet),
             Command::Evaluate(args) => args.run(self.quiet),
+            Command::Ablate(args) => args.run(self.quiet),
             Command::Report(args) => args.run(self.quiet),
             Command::Predict(args) => args.run(),
             Command::Devices(_) => devices::DevicesArgs::run(),

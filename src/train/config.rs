@@ -84,6 +84,18 @@ pub enum DistanceMerit {
     Rmse,
 }
 
+/// Whose boxes the distance network is trained on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TrainingBoxes {
+    /// The labels', moved at random as a detector's errors do.
+    #[default]
+    Labels,
+    /// Those that the run's own detector finds in the training frames; of vehicles that it misses,
+    /// the labels'.
+    Detector,
+}
+
 /// Settings of the detector's training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -191,6 +203,9 @@ pub struct DistanceTraining {
     /// Fit the first weights to the data, rather than start from random numbers alone: every layer
     /// normalised on training composites, the last one by ridge regression.
     pub fit_start: bool,
+    /// Whose boxes are trained on. Validation has the labels'.
+    #[serde(default)]
+    pub boxes: TrainingBoxes,
     /// Spread of the boxes' edges around the labels, as a share of the box: imitates the
     /// detector's errors. 0 trains on the labels' boxes alone.
     pub box_jitter: f64,

@@ -1,5 +1,6 @@
 //! The distance network's recipe.
 
+mod detected;
 mod load;
 
 use std::path::Path;
@@ -9,7 +10,7 @@ use burn::module::Module as _;
 use burn::tensor::{Device, Tensor, TensorData};
 use image::{Rgb, RgbImage};
 
-use super::config::{DistanceMerit, DistanceTraining, TrainConfig};
+use super::config::{DistanceMerit, DistanceTraining, TrainConfig, TrainingBoxes};
 use super::frame_cache::FrameCache;
 use super::log::{EpochRow, RunLog};
 use super::normalize::normalize_layers;
@@ -28,6 +29,7 @@ use crate::progress::Progress;
 use crate::ranging::{
     DistanceEstimator, RangingHeader, RangingNetwork, Readout, VehicleSizes, ranging_loss,
 };
+use detected::DetectedBoxes;
 use load::{LoadedComposites, Vehicle};
 
 /// Validation composites in TensorBoard, at most.
@@ -45,17 +47,22 @@ pub struct DistanceRecipe {
     val: Vec<Vehicle>,
     frames: FrameCache,
     header: RangingHeader,
+    /// Check sum of the detector whose boxes are trained on.
+    detector: Option<String>,
 }
 
 impl DistanceRecipe {
     /// Opens the data of a dataset for the distance network; writes the composites and their
-    /// statistics first where they are missing.
+    /// statistics first where they are missing. Boxes of the detector are those of the run in the
+    /// given folder, and labelled boxes without one.
     ///
     /// # Errors
-    /// A dataset without training vehicles, or composites that cannot be written.
+    /// A dataset without training vehicles, composites that cannot be written, or a run without the
+    /// detector whose boxes are wanted.
     pub fn new(
         config: &TrainConfig,
         dataset: &StereoDataset,
+        run: Option<&Path>,
         device: &Device,
         progress: &dyn Progress,
     ) -> Result<Self> {
@@ -79,7 +86,7 @@ impl DistanceRecipe {
                 })
                 .collect()
         };
-        let train = vehicles(Split::Train);
+        let mut train = vehicles(Split::Train);
         let device_plain = device.clone().without_autodiff();
         let given = settings
             .weights
@@ -107,6 +114,14 @@ impl DistanceRecipe {
                 vehicle.label.distance_m / size
             })),
         };
+        let detector = match run {
+            Some(run) if settings.boxes == TrainingBoxes::Detector => {
+                let found = DetectedBoxes::of_run(run, dataset, config.box_kind, device, progress)?;
+                exchange_boxes(&mut train, &found, progress);
+                Some(found.detector)
+            }
+            _ => None,
+        };
         Ok(Self {
             seed: config.seed,
             device: device.clone().autodiff(),
@@ -126,6 +141,7 @@ impl DistanceRecipe {
                 classes: dataset.classes().to_vec(),
                 rig: *dataset.rig(),
             },
+            detector,
             settings,
         })
     }
@@ -232,7 +248,7 @@ impl DistanceRecipe {
             validate_every: settings.validate_every,
             patience: settings.patience,
             keep_last: settings.keep_last,
-            settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }).to_string(),
+            settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings, "detector": self.detector }).to_string(),
         }
     }
 
@@ -274,6 +290,24 @@ impl DistanceRecipe {
             }
         }
     }
+}
+
+/// Gives vehicles the boxes that the detector found around them, and says how many it missed.
+fn exchange_boxes(vehicles: &mut [Vehicle], found: &DetectedBoxes, progress: &dyn Progress) {
+    let found = found.by_vehicle();
+    let mut count = 0;
+    for vehicle in vehicles.iter_mut() {
+        vehicle.detected = found
+            .get(&(vehicle.frame.row.stamp, vehicle.label.id))
+            .copied();
+        count += usize::from(vehicle.detected.is_some());
+    }
+    progress.note(&format!(
+        "distance: {count} of {} training vehicles ({:.0} %) have the detector's boxes, the others \
+         their labels', moved at random",
+        vehicles.len(),
+        100.0 * count as f64 / vehicles.len().max(1) as f64
+    ));
 }
 
 /// Composites `[batch, 3, height, width]`, geometry `[batch, numbers]`; metres of distance per unit of

@@ -18,7 +18,7 @@ mod stage;
 pub use checkpoint::{StageFolder, StageState};
 pub use config::{
     DetectorMerit, DetectorTraining, DistanceMerit, DistanceTraining, OptimizerKind, Schedule,
-    TrainConfig,
+    TrainConfig, TrainingBoxes,
 };
 pub use log::{EpochRow, RunLog};
 pub use plan::{StagePlan, TrainPlan, plan};

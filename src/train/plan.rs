@@ -68,7 +68,7 @@ pub fn plan(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainPlan
         stages.push(measure(&recipe, &recipe.steering(), model, optimizer)?);
     }
     if request.stage != Stage::Detector {
-        let recipe = DistanceRecipe::new(request.config, &dataset, &device, progress)?;
+        let recipe = DistanceRecipe::new(request.config, &dataset, None, &device, progress)?;
         let optimizer = distance_optimizer(request.config.distance.optimizer);
         let model = recipe.model(progress)?;
         stages.push(measure(&recipe, &recipe.steering(), model, optimizer)?);
@@ -120,7 +120,7 @@ impl fmt::Display for TrainPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "{:<10}{:>12}{:>9}{:>8}{:>9}{:>10}{:>10}{:>10}{:>10}",
+            "{:<12}{:>12}{:>9}{:>8}{:>9}{:>10}{:>10}{:>10}{:>10}",
             "network",
             "parameters",
             "items",
@@ -135,7 +135,7 @@ impl fmt::Display for TrainPlan {
             let peak = stage.peak_mib.map_or("?".to_owned(), |mib| mib.to_string());
             writeln!(
                 f,
-                "{:<10}{:>12}{:>9}{:>8}{:>9}{:>10.3}{:>10.3}{:>10.1}{:>10}",
+                "{:<12}{:>12}{:>9}{:>8}{:>9}{:>10.3}{:>10.3}{:>10.1}{:>10}",
                 stage.stage,
                 stage.parameters,
                 stage.items,

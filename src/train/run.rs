@@ -110,7 +110,13 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
         announce_best::<DetectorRecipe>(&result, progress);
     }
     if request.stage != Stage::Detector {
-        let recipe = DistanceRecipe::new(request.config, &dataset, &device, progress)?;
+        let recipe = DistanceRecipe::new(
+            request.config,
+            &dataset,
+            Some(request.run),
+            &device,
+            progress,
+        )?;
         announce(&recipe, progress);
         let result = run_stage(
             &recipe,

@@ -20,7 +20,9 @@ use crate::train::augment::mirror_composite;
 pub(super) struct Vehicle {
     pub frame: Arc<Frame>,
     pub label: StereoLabel,
-    /// Distances of the surface in the labelled boxes, as they are and mirrored, once measured.
+    /// Left and right box of the detector, which then stand for the labelled ones.
+    pub detected: Option<[PixelBox; 2]>,
+    /// Distances of the surface in its boxes, as they are and mirrored, once measured.
     surfaces_m: Arc<[OnceLock<Option<f64>>; 2]>,
 }
 
@@ -29,13 +31,15 @@ impl Vehicle {
         Self {
             frame,
             label,
+            detected: None,
             surfaces_m: Arc::default(),
         }
     }
 
     /// Its boxes, left and right.
-    pub const fn boxes(&self) -> [PixelBox; 2] {
-        [self.label.left.box_pixel, self.label.right.box_pixel]
+    pub fn boxes(&self) -> [PixelBox; 2] {
+        self.detected
+            .unwrap_or([self.label.left.box_pixel, self.label.right.box_pixel])
     }
 }
 
@@ -86,7 +90,10 @@ impl DistanceRecipe {
     ) -> Result<Reading> {
         let images = self.frames.load(&vehicle.frame, &self.rig)?;
         let mut boxes = vehicle.boxes();
-        if let Some(random) = &mut random {
+        // The detector's boxes have its errors already.
+        if let Some(random) = &mut random
+            && vehicle.detected.is_none()
+        {
             boxes = boxes.map(|area| self.jitter(area, random));
         }
         let sighting = Sighting {

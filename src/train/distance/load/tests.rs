@@ -20,7 +20,7 @@ fn recipe(fixture: &Fixture, change: impl Fn(&mut TrainConfig)) -> DistanceRecip
     config.distance.disparity = true;
     config.distance.readout = Readout::Surface;
     change(&mut config);
-    DistanceRecipe::new(&config, &fixture.open(), &Device::flex(), &Silent).unwrap()
+    DistanceRecipe::new(&config, &fixture.open(), None, &Device::flex(), &Silent).unwrap()
 }
 
 #[test]
