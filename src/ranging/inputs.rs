@@ -114,6 +114,11 @@ impl Reading {
         output * self.distance_per_output + self.distance_at_zero_m
     }
 
+    /// Whether the surface was found; None where it was not looked for.
+    pub fn surface_found(&self) -> Option<bool> {
+        self.geometry.get(BOX_NUMBERS).map(|found| *found > 0.0)
+    }
+
     /// The output that stands for a distance.
     pub fn output(&self, distance_m: f64) -> f64 {
         (distance_m - self.distance_at_zero_m) / self.distance_per_output

@@ -174,10 +174,12 @@ impl DistanceRecipe {
         let mut rows = Vec::new();
         let mut outputs = Vec::with_capacity(self.train.len());
         let mut weights = Vec::with_capacity(self.train.len());
+        let mut found = 0;
         for vehicles in self.train.chunks(self.settings.micro_batch) {
             let loaded = self.composites(vehicles, None)?;
             for (reading, &distance_m) in loaded.readings.iter().zip(&loaded.distances_m) {
                 let distance_m = f64::from(distance_m);
+                found += usize::from(reading.surface_found() == Some(true));
                 outputs.push(reading.output(distance_m));
                 // As the loss's relative term does: by the error of distance that an error makes.
                 weights.push((distance_m / reading.distance_per_output).powi(-2));
@@ -193,6 +195,13 @@ impl DistanceRecipe {
             progress.advance(vehicles.len() as u64);
         }
         progress.end();
+        if self.settings.disparity {
+            progress.note(&format!(
+                "distance: the disparity says how far {found} of {} training vehicles are, the size of \
+                 the others is taken for typical",
+                self.train.len()
+            ));
+        }
         freeze_named(fit_readout(network, &rows, &outputs, &weights).train())
     }
 

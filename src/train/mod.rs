@@ -2,6 +2,7 @@
 
 pub mod augment;
 mod checkpoint;
+mod choices;
 mod config;
 mod detector;
 mod distance;

@@ -101,3 +101,82 @@ fn the_empty_half_of_mono_stays_empty_under_every_change() {
         }
     }
 }
+
+/// A run folder whose detector found one vehicle of the dataset, a little beside its labels.
+fn run_with_detected(fixture: &Fixture, frame: u64, found: [PixelBox; 2]) -> tempfile::TempDir {
+    let run = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| {
+        let path = run.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, text).unwrap();
+    };
+    write("detector/best.safetensors", "never loaded");
+    let mark = crate::files::content_mark(run.path().join("detector/best.safetensors")).unwrap();
+    let saved = serde_json::json!({
+        "detector": mark,
+        "fingerprint": fixture.open().fingerprint().unwrap(),
+        "kind": "sphere",
+        "vehicles": [{ "frame": frame, "id": 0, "left": found[0], "right": found[1] }],
+    });
+    write("distance/detector_boxes.json", &saved.to_string());
+    run
+}
+
+fn detector_config() -> TrainConfig {
+    let mut config = TrainConfig::preset("quick").unwrap();
+    config.distance.boxes = crate::train::TrainingBoxes::Detector;
+    config.distance.flip = 0.0;
+    config
+}
+
+#[test]
+fn boxes_of_the_detector_stand_for_the_labelled_ones_and_do_not_move() {
+    let fixture = Fixture::lawful(10);
+    let dataset = fixture.open();
+    let found = [[20.0, 21.5], [18.0, 19.5]].map(|[x, y]| PixelBox::new(x, y, x + 14.0, y + 13.0));
+    let stamp = dataset.split(crate::dataset::Split::Train)[0].row.stamp;
+    let run = run_with_detected(&fixture, stamp, found);
+    let recipe = DistanceRecipe::new(
+        &detector_config(),
+        &dataset,
+        Some(run.path()),
+        &Device::flex(),
+        &Silent,
+    )
+    .unwrap();
+    assert_eq!(recipe.train[0].boxes(), found);
+    assert_eq!(recipe.train[1].detected, None);
+    let readings = |epoch: u32| {
+        let loaded = recipe.composites(&recipe.train[..2], Some((epoch, &[0, 1])));
+        loaded.unwrap().readings
+    };
+    let [early, late] = [0, 1].map(readings);
+    assert_eq!(early[0], late[0]);
+    assert_ne!(early[1], late[1]);
+    // The labels' boxes still judge.
+    assert!(recipe.val.iter().all(|vehicle| vehicle.detected.is_none()));
+}
+
+#[test]
+fn boxes_of_another_detector_are_found_anew_and_a_missing_detector_is_named() {
+    let fixture = Fixture::lawful(10);
+    let found = [PixelBox::new(20.0, 20.0, 30.0, 30.0); 2];
+    let run = run_with_detected(&fixture, 1, found);
+    let refusal = |run: &std::path::Path| {
+        let device = Device::flex();
+        let recipe = DistanceRecipe::new(
+            &detector_config(),
+            &fixture.open(),
+            Some(run),
+            &device,
+            &Silent,
+        );
+        recipe.err().unwrap().to_string()
+    };
+    let weights = run.path().join("detector/best.safetensors");
+    std::fs::write(&weights, "another one").unwrap();
+    assert!(refusal(run.path()).contains("best.safetensors"));
+    std::fs::remove_file(&weights).unwrap();
+    let message = refusal(run.path());
+    assert!(message.contains("twinsight train detector"), "{message}");
+}
