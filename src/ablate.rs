@@ -34,6 +34,9 @@ pub use variant::Variant;
 /// The settings that every training of a folder has in common.
 const SETTINGS: &str = "settings.json";
 
+/// The folder of the trainings.
+const RUNS: &str = "runs";
+
 /// What to compare, on what, and where to.
 #[derive(Debug, Clone, Copy)]
 pub struct AblateRequest<'a> {
@@ -139,7 +142,7 @@ pub fn plan_ablation(request: &AblateRequest, progress: &dyn Progress) -> Result
 }
 
 fn run_folder(out: &Path, variant: Variant, seed: u64) -> PathBuf {
-    out.join("runs").join(format!("{variant}-seed{seed}"))
+    out.join(RUNS).join(format!("{variant}-seed{seed}"))
 }
 
 fn train_request<'a>(
@@ -252,7 +255,9 @@ fn claim_folder(request: &AblateRequest, dataset: &StereoDataset) -> Result<()> 
             "give another --out, or remove it",
         ))
     };
-    if path.exists() {
+    let is_ours = path.exists();
+    // Nothing was trained under settings that were refused or corrected at once.
+    if is_ours && out.join(RUNS).exists() {
         let saved: Settings =
             serde_json::from_str(&files::read_text(&path)?).map_err(|source| {
                 Error::value(
@@ -273,7 +278,7 @@ fn claim_folder(request: &AblateRequest, dataset: &StereoDataset) -> Result<()> 
     }
     let holds_anything =
         out.is_dir() && std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
-    if holds_anything {
+    if holds_anything && !is_ours {
         return refuse("is not empty, and holds no ablation");
     }
     files::create_folder(out)?;

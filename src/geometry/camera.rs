@@ -200,6 +200,21 @@ impl StereoRig {
         }
     }
 
+    /// The rig of a part of the images: some rows from the first of them on.
+    #[must_use]
+    pub fn of_rows(&self, first: u32, rows: u32) -> Self {
+        let part = |camera: Camera| Camera {
+            height: rows,
+            center_y_px: camera.center_y_px - f64::from(first),
+            ..camera
+        };
+        Self {
+            left: part(self.left),
+            right: part(self.right),
+            baseline_m: self.baseline_m,
+        }
+    }
+
     /// Projects a point (metres, rig axes) into the left and the right image.
     pub fn pixels_from_rig(&self, point_rig: [f64; 3]) -> Option<[[f64; 2]; 2]> {
         let [x, y, z] = point_rig;

@@ -2,7 +2,8 @@
 
 use std::sync::{Arc, OnceLock};
 
-use image::imageops::flip_horizontal;
+use image::RgbImage;
+use image::imageops::{crop_imm, flip_horizontal_in_place};
 use rand::RngExt as _;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
@@ -14,6 +15,9 @@ use crate::geometry::{PixelBox, StereoRig};
 use crate::imaging::ChannelStatistics;
 use crate::ranging::{Crops, Reading, Sighting, surface_m};
 use crate::train::augment::mirror_composite;
+
+/// Rows above and below a vehicle's boxes that the search for its surface may look at, pixels.
+const ROWS_AROUND: f64 = 32.0;
 
 /// A labelled vehicle in its frame.
 #[derive(Debug, Clone)]
@@ -167,14 +171,41 @@ fn measured_m(sighting: &Sighting, rig: &StereoRig, is_mirrored: bool) -> Option
     if !is_mirrored {
         return surface_m(sighting, rig);
     }
-    let [left, right] = sighting.images.map(flip_horizontal);
+    let (sighting, first_row, rows) = around(sighting);
+    let mirror = |image: &RgbImage| {
+        let mut part = crop_imm(image, 0, first_row, image.width(), rows).to_image();
+        flip_horizontal_in_place(&mut part);
+        part
+    };
+    let [left, right] = sighting.images.map(mirror);
     let width = f64::from(rig.left.width);
     let [left_box, right_box] = sighting.boxes.map(|area| area.mirrored(width));
     let mirrored = Sighting {
         images: [&right, &left],
         boxes: [right_box, left_box],
     };
-    surface_m(&mirrored, &rig.mirrored())
+    surface_m(&mirrored, &rig.mirrored().of_rows(first_row, rows))
+}
+
+/// A sighting whose boxes count from the first of the rows around them, that row, and how many there
+/// are: mirroring whole frames for each vehicle would take longer than the search.
+fn around<'a>(sighting: &Sighting<'a>) -> (Sighting<'a>, u32, u32) {
+    let [left, right] = &sighting.boxes;
+    let height = f64::from(sighting.images[0].height());
+    let both = left.around(right);
+    let first = (both.y_min - ROWS_AROUND).floor().clamp(0.0, height - 1.0);
+    let end = (both.y_max + ROWS_AROUND).ceil().clamp(first + 1.0, height);
+    let boxes = sighting.boxes.map(|area| PixelBox {
+        y_min: area.y_min - first,
+        y_max: area.y_max - first,
+        ..area
+    });
+    let images = sighting.images;
+    (
+        Sighting { images, boxes },
+        first as u32,
+        (end - first) as u32,
+    )
 }
 
 #[cfg(test)]

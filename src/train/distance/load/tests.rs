@@ -39,6 +39,38 @@ fn the_mirrored_pair_shows_the_same_surface() {
 }
 
 #[test]
+fn the_rows_around_a_vehicle_are_all_that_its_mirrored_surface_depends_on() {
+    let rig = StereoRig::from_hfov(320, 180, 90.0, 0.8).unwrap();
+    let images = [texture(0), texture(9)];
+    let [left, right] = images.each_ref().map(image::imageops::flip_horizontal);
+    // Small and large, in the middle, and reaching over every side.
+    for (x, y, side) in [
+        (150.0, 90.0, 9.0),
+        (150.3, 90.6, 33.0),
+        (140.0, 80.0, 150.0),
+        (30.0, 12.0, 40.0),
+        (290.0, 171.0, 40.0),
+        (150.0, 2.0, 14.0),
+    ] {
+        let boxes = [x, x - 9.0].map(|x| PixelBox::from_center([x, y], side, side));
+        let sighting = Sighting {
+            images: [&images[0], &images[1]],
+            boxes,
+        };
+        let whole = Sighting {
+            images: [&right, &left],
+            boxes: [boxes[1], boxes[0]].map(|area| area.mirrored(320.0)),
+        };
+        let found = measured_m(&sighting, &rig, true);
+        let of_whole = surface_m(&whole, &rig.mirrored());
+        assert_eq!(found.is_some(), of_whole.is_some());
+        if let (Some(found), Some(of_whole)) = (found, of_whole) {
+            assert!((found / of_whole - 1.0).abs() < 1e-6, "{found} {of_whole}");
+        }
+    }
+}
+
+#[test]
 fn what_is_loaded_depends_on_seed_epoch_and_vehicle_alone() {
     let fixture = Fixture::lawful(10);
     let all: Vec<usize> = (0..4).collect();
