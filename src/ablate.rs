@@ -87,7 +87,8 @@ pub struct Ablation {
     pub baselines: Option<Baselines>,
     /// Every variant and baseline, over all vehicles and by distance.
     pub rows: Vec<AblationRow>,
-    /// Every variant and baseline against the first variant, on the same vehicles.
+    /// Every variant and baseline against the first variant, and every variant against matching, on
+    /// the same vehicles.
     pub differences: Vec<AblationDifference>,
 }
 

@@ -18,8 +18,11 @@ pub(super) fn write(ablation: &Ablation) -> Result<()> {
     files::write_atomically(ablation.out.join("ablation.svg"), bars.svg()?.as_bytes())?;
     let mut section = Section::new("Inputs compared");
     section.notes.push(ablation.description());
+    section.notes.push(explanations(ablation));
     section.table(figures(ablation));
-    section.table(differences(ablation));
+    for (against, rows) in ablation.differences_by_reference() {
+        section.table(differences(ablation, against, rows));
+    }
     let source = ablation.out.join("ablation.csv").display().to_string();
     let legend = KINDS.map(|(series, name)| (color(series), name.to_owned()));
     let (by_distance, lines) = by_distance(ablation);
@@ -52,31 +55,32 @@ pub(super) fn write(ablation: &Ablation) -> Result<()> {
 }
 
 fn figures(ablation: &Ablation) -> Table {
-    let mut header = AblationRow::HEADER.to_vec();
-    header.push("what");
     let source = ablation.out.join("ablation.csv").display().to_string();
-    let mut table = Table::new("Distance errors", &header, source);
+    let mut table = Table::new("Distance errors", &AblationRow::HEADER, source);
     table.note = ablation
         .label_note()
         .map_or_else(String::new, str::to_owned);
-    for row in ablation.rows_of_all() {
-        let variant = row.name.parse::<Variant>().ok().filter(|_| row.trained);
-        let what = variant.map_or("arithmetic", Variant::explanation);
-        let mut cells = row.cells().to_vec();
-        cells.push(what.to_owned());
-        table.rows.push(cells);
-    }
+    let rows = ablation.rows_of_all();
+    table.rows = rows.map(|row| row.cells().to_vec()).collect();
     table
 }
 
-fn differences(ablation: &Ablation) -> Table {
-    let against = ablation.differences.first().map(|row| row.against.as_str());
-    let title = format!("Against {} on the same vehicles", against.unwrap_or("-"));
+/// What the variants are; everything else in the tables is arithmetic.
+fn explanations(ablation: &Ablation) -> String {
+    let trained = ablation.rows_of_all().filter(|row| row.trained);
+    let words: Vec<String> = trained
+        .filter_map(|row| row.name.parse::<Variant>().ok())
+        .map(|variant| format!("{variant}: {}", variant.explanation()))
+        .collect();
+    format!("Trained: {}. The others are arithmetic.", words.join("; "))
+}
+
+fn differences(ablation: &Ablation, against: &str, rows: &[AblationDifference]) -> Table {
+    let title = format!("Against {against} on the same vehicles");
     let source = ablation.out.join("differences.csv").display().to_string();
     let mut table = Table::new(&title, &AblationDifference::HEADER, source);
     table.note = String::from("Below 0 is better; where the bounds hold 0, that may be chance.");
-    let rows = ablation.differences.iter();
-    table.rows = rows.map(|row| row.cells().to_vec()).collect();
+    table.rows = rows.iter().map(|row| row.cells().to_vec()).collect();
     table
 }
 

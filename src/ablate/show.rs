@@ -34,6 +34,14 @@ impl Ablation {
         self.rows.iter().filter(|row| row.group == "all")
     }
 
+    /// Differences by what they are against.
+    pub(super) fn differences_by_reference(
+        &self,
+    ) -> impl Iterator<Item = (&str, &[AblationDifference])> {
+        let groups = self.differences.chunk_by(|a, b| a.against == b.against);
+        groups.filter_map(|rows| Some((rows.first()?.against.as_str(), rows)))
+    }
+
     /// What is to be said of a baseline that reads the label; None where it does not.
     pub(super) fn label_note(&self) -> Option<&'static str> {
         (self.config.box_kind == BoxKind::Sphere && self.baselines.is_some()).then_some(LABEL_NOTE)
@@ -106,18 +114,13 @@ impl fmt::Display for Ablation {
         if let Some(note) = self.label_note() {
             writeln!(f, "{note}")?;
         }
-        if let Some(first) = self.differences.first() {
+        for (against, rows) in self.differences_by_reference() {
             writeln!(
                 f,
-                "\nagainst {} on the same vehicles; below 0 is better, and bounds that hold 0 may be \
-                 chance",
-                first.against
+                "\nagainst {against} on the same vehicles; below 0 is better, and bounds that hold 0 may \
+                 be chance"
             )?;
-            let rows: Vec<_> = self
-                .differences
-                .iter()
-                .map(AblationDifference::cells)
-                .collect();
+            let rows: Vec<_> = rows.iter().map(AblationDifference::cells).collect();
             columns(f, &AblationDifference::HEADER, &rows)?;
         }
         if self.left_out > 0 {

@@ -54,8 +54,8 @@ pub struct AblationRow {
     pub within_5_percent: Option<f64>,
 }
 
-/// A variant or baseline against the first variant on the vehicles that both have an estimate of, a
-/// row of `differences.csv`. With several seeds, errors are means over them.
+/// A variant or baseline against the first variant, or a variant against matching, on the vehicles
+/// that both have an estimate of; a row of `differences.csv`. With several seeds, errors are means over them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AblationDifference {
     /// The variant's or the baseline's name.
@@ -228,46 +228,63 @@ fn errors_m(column: &Column) -> Vec<Option<f64>> {
         .collect()
 }
 
-/// Everything against the first variant.
+/// Everything against the first variant, and every variant against matching.
 pub(super) fn differences(measured: &Measured, drawing: &Drawing) -> Vec<AblationDifference> {
-    let Some((first, others)) = measured.columns.split_first() else {
+    let columns = &measured.columns;
+    let Some((first, others)) = columns.split_first() else {
         return Vec::new();
     };
-    let reference = errors_m(first);
-    let vehicles = first.seeds.first().map_or(&[][..], |(_, v)| v);
-    others
+    let of_first = others.iter().map(|column| (column, first));
+    let is_matching = |column: &&Column| column.method == Method::Matching;
+    let of_matching = columns
         .iter()
-        .filter_map(|column| {
-            let pairs: Vec<(u64, [f64; 3])> = vehicles
-                .iter()
-                .zip(reference.iter().zip(errors_m(column)))
-                .filter_map(|(vehicle, (reference, error))| {
-                    let difference_m = error? - (*reference)?;
-                    let relative = 100.0 * difference_m / vehicle.distance_m;
-                    Some((vehicle.frame, [1.0, difference_m, relative]))
-                })
-                .collect();
-            let count = pairs.len();
-            let mean = |i: usize| pairs.iter().map(|(_, v)| v[i]).sum::<f64>() / count as f64;
-            let sums = drawing.sums(pairs.iter().copied());
-            let intervals = drawing.intervals(&sums, |[count, metres, percent]| {
-                (count > 0.0).then_some([metres / count, percent / count])
-            });
-            let low = |i: usize| intervals.map(|intervals| intervals[i].low);
-            let high = |i: usize| intervals.map(|intervals| intervals[i].high);
-            (count > 0).then(|| AblationDifference {
-                name: column.name.clone(),
-                against: first.name.clone(),
-                vehicles: count,
-                mae_m: mean(1),
-                mae_low_m: low(0),
-                mae_high_m: high(0),
-                mre_percent: mean(2),
-                mre_low_percent: low(1),
-                mre_high_percent: high(1),
-            })
-        })
+        .find(is_matching)
+        .into_iter()
+        .flat_map(|matching| {
+            let trained = columns.iter().filter(|column| column.is_trained);
+            trained.map(move |column| (column, matching))
+        });
+    of_first
+        .chain(of_matching)
+        .filter_map(|(column, reference)| difference(column, reference, drawing))
         .collect()
+}
+
+/// One against another; None where no vehicle has an estimate of both.
+fn difference(
+    column: &Column,
+    reference: &Column,
+    drawing: &Drawing,
+) -> Option<AblationDifference> {
+    let (_, vehicles) = column.seeds.first()?;
+    let pairs: Vec<(u64, [f64; 3])> = vehicles
+        .iter()
+        .zip(errors_m(column).into_iter().zip(errors_m(reference)))
+        .filter_map(|(vehicle, (error, reference))| {
+            let difference_m = error? - reference?;
+            let relative = 100.0 * difference_m / vehicle.distance_m;
+            Some((vehicle.frame, [1.0, difference_m, relative]))
+        })
+        .collect();
+    let count = pairs.len();
+    let mean = |i: usize| pairs.iter().map(|(_, v)| v[i]).sum::<f64>() / count as f64;
+    let sums = drawing.sums(pairs.iter().copied());
+    let intervals = drawing.intervals(&sums, |[count, metres, percent]| {
+        (count > 0.0).then_some([metres / count, percent / count])
+    });
+    let low = |i: usize| intervals.map(|intervals| intervals[i].low);
+    let high = |i: usize| intervals.map(|intervals| intervals[i].high);
+    (count > 0).then(|| AblationDifference {
+        name: column.name.clone(),
+        against: reference.name.clone(),
+        vehicles: count,
+        mae_m: mean(1),
+        mae_low_m: low(0),
+        mae_high_m: high(0),
+        mre_percent: mean(2),
+        mre_low_percent: low(1),
+        mre_high_percent: high(1),
+    })
 }
 
 /// Every single estimate.
