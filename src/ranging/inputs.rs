@@ -118,11 +118,6 @@ impl Reading {
     pub fn surface_found(&self) -> Option<bool> {
         self.geometry.get(BOX_NUMBERS).map(|found| *found > 0.0)
     }
-
-    /// The output that stands for a distance.
-    pub fn output(&self, distance_m: f64) -> f64 {
-        (distance_m - self.distance_at_zero_m) / self.distance_per_output
-    }
 }
 
 impl RangingHeader {

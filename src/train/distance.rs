@@ -180,9 +180,12 @@ impl DistanceRecipe {
             for (reading, &distance_m) in loaded.readings.iter().zip(&loaded.distances_m) {
                 let distance_m = f64::from(distance_m);
                 found += usize::from(reading.surface_found() == Some(true));
-                outputs.push(reading.output(distance_m));
+                // In the precision of the batches that the network will be trained on.
+                let per_output = f64::from(reading.distance_per_output as f32);
+                let at_zero_m = f64::from(reading.distance_at_zero_m as f32);
+                outputs.push((distance_m - at_zero_m) / per_output);
                 // As the loss's relative term does: by the error of distance that an error makes.
-                weights.push((distance_m / reading.distance_per_output).powi(-2));
+                weights.push((distance_m / per_output).powi(-2));
             }
             let batch = self.batch(loaded, &device);
             let features = network.features(batch.composites).fc2;

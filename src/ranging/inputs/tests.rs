@@ -142,7 +142,6 @@ fn a_found_surface_is_where_the_disparity_says_whatever_the_readout() {
         assert_eq!((found, header.geometry_numbers()), (1.0, 5));
         assert!((f64::from(tens_of_m) * 10.0 - distance_m).abs() < 0.02);
         assert!((size_m - 4.0).abs() < 0.02, "{size_m}");
-        assert!((reading.distance_m(reading.output(12.5)) - 12.5).abs() < 1e-9);
         let expected_m = if readout == Readout::Surface {
             distance_m
         } else {
