@@ -75,6 +75,7 @@
 //! | [`progress::Progress`] | hears how far long work is, and may stop it |
 //! | [`Error`] | what went wrong, with the file or value and the remedy |
 
+pub mod ablate;
 pub mod annotate;
 pub mod calibration;
 pub mod dataset;

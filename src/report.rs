@@ -8,7 +8,7 @@ mod compare;
 mod detection;
 mod distance;
 mod load;
-mod parts;
+pub(crate) mod parts;
 mod settings;
 mod training;
 
@@ -21,7 +21,7 @@ use load::Run;
 use parts::{Page, Section};
 
 /// The page without its content.
-const TEMPLATE: &str = include_str!("report/page.html");
+pub(crate) const TEMPLATE: &str = include_str!("report/page.html");
 
 /// Writes the page of these runs to a file, whose folder is created where it is missing. Returns
 /// what the page could not show, in words.
@@ -69,7 +69,7 @@ pub fn report(runs: &[PathBuf], out: &Path) -> Result<Vec<String>> {
     }
     sections.push(settings::section(&runs));
     let content = Page {
-        title: names.join(", "),
+        title: format!("Report: {}", names.join(", ")),
         facts: vec![
             [
                 "program".to_owned(),

@@ -1,6 +1,8 @@
 //! The program as a user meets it: exit codes, what is printed where, and what errors say.
 #![allow(clippy::unwrap_used, reason = "a test stops at whatever is unexpected")]
 
+#[path = "cli/ablate.rs"]
+mod ablate;
 #[path = "support/binary.rs"]
 mod binary;
 #[path = "cli/calibration.rs"]
@@ -32,9 +34,9 @@ use std::time::{Duration, Instant};
 
 use binary::{Outcome, Workplace};
 
-const COMMANDS: [&str; 11] = [
+const COMMANDS: [&str; 12] = [
     "generate", "import", "export", "validate", "inspect", "prepare", "train", "evaluate",
-    "report", "predict", "devices",
+    "ablate", "report", "predict", "devices",
 ];
 /// Commands that a build may lack.
 const OPTIONAL_COMMANDS: &[&str] = if cfg!(feature = "remote") {

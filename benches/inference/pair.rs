@@ -18,7 +18,7 @@ use twinsight::geometry::{PixelBox, StereoRig};
 use twinsight::imaging::{ChannelStatistics, load_pair, load_rgb, save_png};
 use twinsight::pairing::search::search;
 use twinsight::pairing::{PairingConfig, PairingMode, pair};
-use twinsight::ranging::{DistanceEstimator, RangingHeader, Readout, Sighting};
+use twinsight::ranging::{Crops, DistanceEstimator, RangingHeader, Readout, Sighting};
 use twinsight::{Error, Result};
 
 use super::Bench;
@@ -75,6 +75,8 @@ impl Networks {
                     version,
                     composite: CompositeSize::FULL,
                     readout: Readout::Distance,
+                    crops: Crops::RightLeft,
+                    sizes: None,
                     normalization: ChannelStatistics::IDENTITY,
                     box_kind: BoxKind::Sphere,
                     classes,

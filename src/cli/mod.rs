@@ -3,6 +3,7 @@
 //! The only place that knows clap and that prints. Results go to standard output, everything else
 //! to standard error.
 
+mod ablate;
 mod calibration;
 mod devices;
 mod evaluate;
@@ -66,6 +67,7 @@ enum Command {
     Prepare(prepare::PrepareArgs),
     Train(Box<train::TrainArgs>),
     Evaluate(evaluate::EvaluateArgs),
+    Ablate(ablate::AblateArgs),
     Report(report::ReportArgs),
     Predict(Box<predict::PredictArgs>),
     Devices(devices::DevicesArgs),
@@ -85,6 +87,7 @@ impl Cli {
             Command::Prepare(args) => args.run(self.quiet),
             Command::Train(args) => args.run(self.quiet),
             Command::Evaluate(args) => args.run(self.quiet),
+            Command::Ablate(args) => args.run(self.quiet),
             Command::Report(args) => args.run(self.quiet),
             Command::Predict(args) => args.run(self.quiet),
             Command::Devices(_) => devices::DevicesArgs::run(),

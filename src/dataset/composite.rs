@@ -165,18 +165,43 @@ pub fn composite_into_planes(
 ) {
     let [left_image, right_image] = images;
     let [left_box, right_box] = boxes;
-    for (image, area, first_row) in [
-        (right_image, right_box, 0),
-        (left_image, left_box, size.width),
-    ] {
-        let window = PlaneWindow {
-            width: size.width,
-            height: size.width,
-            plane_height: size.height,
-            first_row,
-        };
-        crop_into_planes(image, &area.squared(), statistics, window, planes);
-    }
+    half_into_planes(
+        right_image,
+        right_box,
+        Half::Upper,
+        size,
+        statistics,
+        planes,
+    );
+    half_into_planes(left_image, left_box, Half::Lower, size, statistics, planes);
+}
+
+/// A half of a composite: one crop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Half {
+    Upper,
+    Lower,
+}
+
+/// One crop of [`composite_into_planes`].
+pub(crate) fn half_into_planes(
+    image: &RgbImage,
+    area: &PixelBox,
+    half: Half,
+    size: CompositeSize,
+    statistics: &ChannelStatistics,
+    planes: &mut [f32],
+) {
+    let window = PlaneWindow {
+        width: size.width,
+        height: size.width,
+        plane_height: size.height,
+        first_row: match half {
+            Half::Upper => 0,
+            Half::Lower => size.width,
+        },
+    };
+    crop_into_planes(image, &area.squared(), statistics, window, planes);
 }
 
 #[cfg(test)]

@@ -19,6 +19,7 @@ mod resplit;
 mod source;
 
 pub use composite::{CompositeSize, composite, composite_into_planes, geometry_vector};
+pub(crate) use composite::{Half, half_into_planes};
 pub use composite_set::{CompositeItem, CompositeSet, CompositeStatistics, SplitCounts};
 pub use format::{BoxKind, DatasetInfo, FORMAT_VERSION, FrameRow, Label, Split, View};
 pub use frame::{Frame, FrameImage, Problem, Side, StereoLabel};

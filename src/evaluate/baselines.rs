@@ -24,10 +24,8 @@ use super::vehicles::Estimates;
 use crate::dataset::{BoxKind, Frame, Split, StereoDataset};
 use crate::error::Result;
 use crate::geometry::{PixelBox, StereoRig};
-use crate::pairing::PairingConfig;
-use crate::pairing::search::disparity_px;
 use crate::progress::{Progress, in_parallel};
-use crate::ranging::Sighting;
+use crate::ranging::{Sighting, surface_m};
 
 /// Frames whose images are matched for the constants: two numbers need no more.
 const FITTED_FRAMES: usize = 160;
@@ -242,13 +240,6 @@ fn width_m([left, right]: &[PixelBox; 2], rig: &StereoRig) -> f64 {
 /// Distance of the point that both boxes' centres show, metres.
 fn centers_m([left, right]: &[PixelBox; 2], rig: &StereoRig) -> Option<f64> {
     let disparity_px = rig.disparity_of_pixels(left.center()[0], right.center()[0]);
-    rig.triangulated_m(left.center(), disparity_px)
-}
-
-/// Distance of the surface that the left box shows, metres.
-fn surface_m(sighting: &Sighting, rig: &StereoRig) -> Option<f64> {
-    let [left, _] = &sighting.boxes;
-    let disparity_px = disparity_px(sighting.images, left, rig, &PairingConfig::default())?;
     rig.triangulated_m(left.center(), disparity_px)
 }
 

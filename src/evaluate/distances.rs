@@ -95,7 +95,7 @@ pub struct DifferenceRow {
 
 /// Which vehicles are drawn together, see [`Resamples`].
 #[derive(Debug, Clone)]
-pub(super) struct Drawing {
+pub(crate) struct Drawing {
     pub resamples: Resamples,
     /// "scene" or "frame".
     pub unit: &'static str,
@@ -221,7 +221,13 @@ pub(super) fn rows(
     rows
 }
 
-fn row(boxes: Boxes, method: Method, vehicles: &[&VehicleRow], drawing: &Drawing) -> DistanceRow {
+/// One method over these vehicles, as one group.
+pub(crate) fn row(
+    boxes: Boxes,
+    method: Method,
+    vehicles: &[&VehicleRow],
+    drawing: &Drawing,
+) -> DistanceRow {
     let mut errors = DistanceErrors::new();
     let answers: Vec<(u64, f64, f64)> = vehicles
         .iter()

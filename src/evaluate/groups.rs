@@ -55,7 +55,7 @@ impl Grouping {
 }
 
 /// Place in the order of groups, and name.
-pub(super) type Key = (usize, String);
+pub(crate) type Key = (usize, String);
 
 /// The group of whatever nobody knows the group of.
 fn unknown() -> Key {
@@ -63,7 +63,7 @@ fn unknown() -> Key {
 }
 
 /// Divides vehicles; distances into bins that are round numbers of metres.
-pub(super) struct Groups {
+pub(crate) struct Groups {
     step_m: f64,
 }
 

@@ -1,22 +1,17 @@
 //! The one pass over the frames of a split: every image is decoded once and seen once by the
 //! detector, whose boxes serve both its own figures and the pipeline.
 
-use std::collections::BTreeMap;
-
 use image::RgbImage;
 use rayon::prelude::*;
 
 use super::baselines::Baselines;
 use super::detection::add_image;
 use super::match_vehicles;
-use super::vehicles::{Boxes, Estimates, FalseVehicle, VehicleRow};
-use crate::dataset::{
-    BoxKind, Frame, Problem, Side, StereoDataset, StereoLabel, View, read_objects_csv,
-};
+use super::vehicles::{Boxes, Estimates, FalseVehicle, Places};
+use crate::dataset::{BoxKind, Frame, Problem, Side, StereoDataset, StereoLabel};
 use crate::detector::nms::NmsConfig;
 use crate::detector::{Detection, LetterboxedCandidates};
 use crate::error::{Error, Result};
-use crate::generate::view_of_azimuth;
 use crate::geometry::{PixelBox, StereoRig};
 use crate::metrics::{Confusion, DetectionMetrics, Target, is_covered};
 use crate::pipeline::{StereoRanger, Vehicle};
@@ -42,7 +37,7 @@ pub(super) struct Judged {
     /// Stamp and scene of each frame.
     pub frames: Vec<(u64, Option<u32>)>,
     /// Labelled vehicles.
-    pub vehicles: Vec<VehicleRow>,
+    pub vehicles: Vec<super::VehicleRow>,
     /// Vehicles that the pipeline made up.
     pub false_vehicles: Vec<FalseVehicle>,
     /// Frames that could not be read.
@@ -55,7 +50,7 @@ pub(super) struct Judge<'a> {
     pub dataset: &'a StereoDataset,
     pub baselines: Option<&'a Baselines>,
     kind: BoxKind,
-    views: BTreeMap<(u64, u32), View>,
+    places: Places<'a>,
 }
 
 /// A decoded frame with what the detector found in its images, in the order of the images.
@@ -78,17 +73,13 @@ impl<'a> Judge<'a> {
         dataset: &'a StereoDataset,
         baselines: Option<&'a Baselines>,
     ) -> Self {
-        // Optional, and only there to know views: a file that cannot be read says nothing.
-        let objects = read_objects_csv(dataset.folder.join("objects.csv")).unwrap_or_default();
+        let kind = ranger.detector().header().box_kind;
         Self {
             ranger,
             dataset,
             baselines,
-            kind: ranger.detector().header().box_kind,
-            views: objects
-                .iter()
-                .map(|row| ((row.stamp, row.id), view_of_azimuth(row.azimuth_deg)))
-                .collect(),
+            kind,
+            places: Places::new(dataset, kind),
         }
     }
 
@@ -317,7 +308,7 @@ impl<'a> Judge<'a> {
         let vehicles: Vec<Vehicle> = found.iter().map(|(vehicle, _)| vehicle.clone()).collect();
         let matches = match_vehicles(&vehicles, labels);
         for (i, (label, estimates)) in labels.iter().zip(of_labels).enumerate() {
-            let mut row = self.unseen(frame, label);
+            let mut row = self.places.unseen(frame, label);
             row.set_estimates(Boxes::True, *estimates);
             if let Some((vehicle, _)) = matches.iter().find(|(_, of)| *of == i) {
                 let (vehicle, estimates) = &found[*vehicle];
@@ -349,43 +340,6 @@ impl<'a> Judge<'a> {
                 x_max: vehicle.left.x_max,
                 y_max: vehicle.left.y_max,
             });
-        }
-    }
-
-    /// The row of a vehicle without any estimate.
-    fn unseen(&self, frame: &Frame, label: &StereoLabel) -> VehicleRow {
-        let [left, right] = [&label.left.box_pixel, &label.right.box_pixel]
-            .map(|area| area.width().max(area.height()));
-        let class = self.dataset.classes().get(label.class as usize);
-        // `frames.csv` speaks of the orbited vehicle, which has the number 0, or of the only one.
-        let is_of_frame = label.id == 0 || frame.left.labels_of(self.kind).count() == 1;
-        let of_object = self.views.get(&(frame.row.stamp, label.id)).copied();
-        VehicleRow {
-            frame: frame.row.stamp,
-            id: label.id,
-            class: class.cloned().unwrap_or_default(),
-            scene: frame.row.scene,
-            sun: frame.row.sun.clone(),
-            view: frame.row.view.filter(|_| is_of_frame).or(of_object),
-            box_px: f64::midpoint(left, right),
-            distance_m: label.distance_m,
-            network_m: None,
-            size_m: None,
-            triangulation_m: None,
-            matching_m: None,
-            fusion_m: None,
-            found: false,
-            score: None,
-            overlap: None,
-            found_x_min: None,
-            found_y_min: None,
-            found_x_max: None,
-            found_y_max: None,
-            pipeline_network_m: None,
-            pipeline_size_m: None,
-            pipeline_triangulation_m: None,
-            pipeline_matching_m: None,
-            pipeline_fusion_m: None,
         }
     }
 }

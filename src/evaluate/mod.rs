@@ -35,5 +35,10 @@ pub use show::{LABEL_NOTE, protocol_text};
 pub use tables::{Tables, evaluations, read};
 pub use vehicles::{Boxes, Estimates, FalseVehicle, Method, VehicleRow};
 
+pub(crate) use distances::{Drawing, row};
+pub(crate) use groups::Groups;
+pub(crate) use pipeline::DRAWS;
 use pipeline::training_dataset;
 pub(crate) use show::{number, percent, protocol_cells};
+pub(crate) use tables::{write_json, write_table};
+pub(crate) use vehicles::Places;

@@ -25,7 +25,7 @@ use crate::train::{TrainConfig, saved_config};
 const MATCH_IOU: f64 = 0.5;
 
 /// Draws of the bootstrap: bounds then move by a few percent of their width with another seed.
-pub(super) const DRAWS: usize = 1000;
+pub(crate) const DRAWS: usize = 1000;
 
 /// Draws for average precision, each of which walks through every detection.
 const DETECTION_DRAWS: usize = 200;

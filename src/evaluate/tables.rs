@@ -112,7 +112,7 @@ pub(super) fn write(folder: &Path, evaluation: &Evaluation) -> Result<()> {
 }
 
 /// One table as CSV and JSON; one without rows has no files.
-fn write_table<R: Serialize>(folder: &Path, name: &str, rows: &[R]) -> Result<()> {
+pub(crate) fn write_table<R: Serialize>(folder: &Path, name: &str, rows: &[R]) -> Result<()> {
     let csv_path = folder.join(format!("{name}.csv"));
     let json_path = folder.join(format!("{name}.json"));
     if rows.is_empty() {
@@ -143,7 +143,8 @@ fn write_table<R: Serialize>(folder: &Path, name: &str, rows: &[R]) -> Result<()
     write_json(&json_path, rows)
 }
 
-fn write_json<T: Serialize + ?Sized>(path: &Path, value: &T) -> Result<()> {
+/// A value as JSON.
+pub(crate) fn write_json<T: Serialize + ?Sized>(path: &Path, value: &T) -> Result<()> {
     let mut json = serde_json::to_vec_pretty(value).map_err(|source| {
         Error::value(
             path.display().to_string(),
@@ -188,7 +189,7 @@ pub fn read(folder: &Path) -> Result<Evaluation> {
 }
 
 /// A table's rows; none where there is no such file.
-fn read_table<R: DeserializeOwned>(folder: &Path, name: &str) -> Result<Vec<R>> {
+pub(crate) fn read_table<R: DeserializeOwned>(folder: &Path, name: &str) -> Result<Vec<R>> {
     let path = folder.join(format!("{name}.json"));
     if !path.exists() {
         return Ok(Vec::new());

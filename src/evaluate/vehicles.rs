@@ -1,10 +1,12 @@
 //! What was estimated of each vehicle: the rows that every figure is computed from.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::dataset::View;
+use crate::dataset::{BoxKind, Frame, StereoDataset, StereoLabel, View, read_objects_csv};
+use crate::generate::view_of_azimuth;
 use crate::geometry::PixelBox;
 
 /// A way to a distance.
@@ -175,7 +177,7 @@ impl VehicleRow {
     }
 
     /// Sets every method's estimate from these boxes.
-    pub(super) const fn set_estimates(&mut self, boxes: Boxes, estimates: Estimates) {
+    pub(crate) const fn set_estimates(&mut self, boxes: Boxes, estimates: Estimates) {
         let [network, size, triangulation, matching, fusion] = estimates;
         match boxes {
             Boxes::True => {
@@ -192,6 +194,66 @@ impl VehicleRow {
                 self.pipeline_matching_m = matching;
                 self.pipeline_fusion_m = fusion;
             }
+        }
+    }
+}
+
+/// What is known of the vehicles of a dataset beside their labels.
+pub(crate) struct Places<'a> {
+    dataset: &'a StereoDataset,
+    kind: BoxKind,
+    views: BTreeMap<(u64, u32), View>,
+}
+
+impl<'a> Places<'a> {
+    /// Reads the dataset's `objects.csv`, which is optional and only there to know views: a file that
+    /// cannot be read says nothing.
+    pub fn new(dataset: &'a StereoDataset, kind: BoxKind) -> Self {
+        let objects = read_objects_csv(dataset.folder.join("objects.csv")).unwrap_or_default();
+        Self {
+            dataset,
+            kind,
+            views: objects
+                .iter()
+                .map(|row| ((row.stamp, row.id), view_of_azimuth(row.azimuth_deg)))
+                .collect(),
+        }
+    }
+
+    /// The row of a vehicle without any estimate.
+    pub fn unseen(&self, frame: &Frame, label: &StereoLabel) -> VehicleRow {
+        let [left, right] = [&label.left.box_pixel, &label.right.box_pixel]
+            .map(|area| area.width().max(area.height()));
+        let class = self.dataset.classes().get(label.class as usize);
+        // `frames.csv` speaks of the orbited vehicle, which has the number 0, or of the only one.
+        let is_of_frame = label.id == 0 || frame.left.labels_of(self.kind).count() == 1;
+        let of_object = self.views.get(&(frame.row.stamp, label.id)).copied();
+        VehicleRow {
+            frame: frame.row.stamp,
+            id: label.id,
+            class: class.cloned().unwrap_or_default(),
+            scene: frame.row.scene,
+            sun: frame.row.sun.clone(),
+            view: frame.row.view.filter(|_| is_of_frame).or(of_object),
+            box_px: f64::midpoint(left, right),
+            distance_m: label.distance_m,
+            network_m: None,
+            size_m: None,
+            triangulation_m: None,
+            matching_m: None,
+            fusion_m: None,
+            found: false,
+            score: None,
+            overlap: None,
+            found_x_min: None,
+            found_y_min: None,
+            found_x_max: None,
+            found_y_max: None,
+            pipeline_network_m: None,
+            pipeline_size_m: None,
+            pipeline_triangulation_m: None,
+            pipeline_matching_m: None,
+            pipeline_fusion_m: None,
         }
     }
 }

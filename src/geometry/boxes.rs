@@ -72,6 +72,16 @@ impl PixelBox {
         )
     }
 
+    /// The box of the same thing in the mirrored image.
+    pub fn mirrored(&self, image_width: f64) -> Self {
+        Self::new(
+            image_width - self.x_max,
+            self.y_min,
+            image_width - self.x_min,
+            self.y_max,
+        )
+    }
+
     /// The smallest square around the same centre that holds this box.
     pub fn squared(&self) -> Self {
         let side = self.width().max(self.height());

@@ -209,6 +209,36 @@ impl StereoRig {
         (disparity_px - self.disparity_px(z_m)).abs() <= slack_px
     }
 
+    /// The rig that takes the same pictures of the mirrored world: cameras exchanged, their images
+    /// mirrored.
+    #[must_use]
+    pub fn mirrored(&self) -> Self {
+        let mirrored = |camera: Camera| Camera {
+            center_x_px: f64::from(camera.width) - camera.center_x_px,
+            ..camera
+        };
+        Self {
+            left: mirrored(self.right),
+            right: mirrored(self.left),
+            baseline_m: self.baseline_m,
+        }
+    }
+
+    /// The rig of a part of the images: some rows from the first of them on.
+    #[must_use]
+    pub fn of_rows(&self, first: u32, rows: u32) -> Self {
+        let part = |camera: Camera| Camera {
+            height: rows,
+            center_y_px: camera.center_y_px - f64::from(first),
+            ..camera
+        };
+        Self {
+            left: part(self.left),
+            right: part(self.right),
+            baseline_m: self.baseline_m,
+        }
+    }
+
     /// Projects a point (metres, rig axes) into the left and the right image.
     pub fn pixels_from_rig(&self, point_rig: [f64; 3]) -> Option<[[f64; 2]; 2]> {
         let [x, y, z] = point_rig;

@@ -102,6 +102,8 @@ pub(crate) enum Shape {
     Bars(Vec<[f64; 4]>),
     /// Vertical lines: x, lower and upper end.
     Bounds(Vec<[f64; 3]>),
+    /// Horizontal lines: y, left and right end.
+    Spans(Vec<[f64; 3]>),
 }
 
 /// Two axes and what is drawn over them.
@@ -142,7 +144,7 @@ impl Figure {
             .margin(6)
             .margin_right(14)
             .x_label_area_size(42)
-            .y_label_area_size(58)
+            .y_label_area_size(if self.y.names.is_empty() { 58 } else { 100 })
             .build_cartesian_2d(x_range, y_range)?;
         let names = self.x.names.len();
         chart
@@ -152,7 +154,7 @@ impl Figure {
             .bold_line_style(RGBColor(225, 225, 225))
             .axis_style(INK)
             .x_labels(if names > 0 { 0 } else { 8 })
-            .y_labels(6)
+            .y_labels(if self.y.names.is_empty() { 6 } else { 0 })
             .x_desc(&self.x.label)
             .y_desc(&self.y.label)
             .label_style(style.clone())
@@ -167,6 +169,13 @@ impl Figure {
         for (place, name) in self.x.names.iter().enumerate().step_by(every) {
             let (x, y) = chart.backend_coord(&(place as f64 + 0.5, self.y.range[0]));
             root.draw(&Text::new(name.clone(), (x, y + 6), &centered))?;
+        }
+        let before = TextStyle::from(("sans-serif", 13).into_font())
+            .color(&INK)
+            .pos(Pos::new(HPos::Right, VPos::Center));
+        for (place, name) in self.y.names.iter().enumerate() {
+            let (x, y) = chart.backend_coord(&(self.x.range[0], place as f64 + 0.5));
+            root.draw(&Text::new(name.clone(), (x - 6, y), &before))?;
         }
         for (color, shape) in &self.shapes {
             draw_shape(&mut chart, *color, shape)?;
@@ -210,6 +219,12 @@ fn draw_shape(
             let ends = bounds
                 .iter()
                 .map(|[x, low, high]| vec![(*x, *low), (*x, *high)]);
+            chart.draw_series(ends.map(|ends| PathElement::new(ends, INK.stroke_width(1))))?;
+        }
+        Shape::Spans(spans) => {
+            let ends = spans
+                .iter()
+                .map(|[y, low, high]| vec![(*low, *y), (*high, *y)]);
             chart.draw_series(ends.map(|ends| PathElement::new(ends, INK.stroke_width(1))))?;
         }
     }
@@ -281,6 +296,23 @@ mod tests {
             assert!(svg.contains(text), "{text}");
         }
         assert!(!svg.contains("NaN"));
+    }
+
+    #[test]
+    fn lying_bars_have_their_names_before_the_axis() {
+        let figure = Figure {
+            x: Axis::new("error, m", [0.0, 4.0]),
+            y: Axis::named("", vec!["first".to_owned(), "second".to_owned()]),
+            shapes: vec![
+                (color(0), Shape::Bars(vec![[0.0, 0.1, 3.0, 0.9]])),
+                (color(0), Shape::Spans(vec![[0.5, 2.0, 4.0]])),
+            ],
+            square: false,
+        };
+        let svg = figure.svg().unwrap();
+        for text in ["first", "second", "error, m", "#0072B2"] {
+            assert!(svg.contains(text), "{text}");
+        }
     }
 
     #[test]

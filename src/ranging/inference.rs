@@ -8,8 +8,8 @@ use image::RgbImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{RangingConfig, RangingNetwork, Readout, sizes_as_trained};
-use crate::dataset::{BoxKind, CompositeSize, composite_into_planes};
+use super::{Crops, RangingConfig, RangingNetwork, Reading, Readout, VehicleSizes};
+use crate::dataset::{BoxKind, CompositeSize};
 use crate::error::{Error, Result};
 use crate::geometry::{PixelBox, StereoRig};
 use crate::imaging::ChannelStatistics;
@@ -32,6 +32,13 @@ pub struct RangingHeader {
     /// distance.
     #[serde(default)]
     pub readout: Readout,
+    /// Which crops the composite holds; files of older versions do not say and hold both.
+    #[serde(default)]
+    pub crops: Crops,
+    /// Sizes of the vehicles it was trained on, where it is given the measured disparity: they
+    /// judge what was measured. Absent where it is not given the disparity.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sizes: Option<VehicleSizes>,
     /// Per-channel mean and deviation that normalise the composite.
     pub normalization: ChannelStatistics,
     /// Kind of box it was trained on.
@@ -45,6 +52,11 @@ pub struct RangingHeader {
 impl RangingHeader {
     /// The network's name in headers.
     pub const NETWORK: &'static str = "twin";
+
+    /// Settings of the network that takes what this header describes.
+    pub fn config(&self) -> RangingConfig {
+        RangingConfig::for_size(self.composite).with_geometry(self.geometry_numbers())
+    }
 }
 
 /// A vehicle seen in both images.
@@ -98,7 +110,7 @@ impl DistanceEstimator {
                 "give the distance weights that `train` wrote",
             ));
         };
-        let fresh = RangingConfig::for_size(header.composite).init(device)?;
+        let fresh = header.config().init(device)?;
         Ok((state.apply(fresh, str::to_owned)?, header))
     }
 
@@ -125,7 +137,13 @@ impl DistanceEstimator {
     pub fn estimate(&self, sightings: &[Sighting], rig: &StereoRig) -> Result<Vec<f64>> {
         let mut distances_m = Vec::with_capacity(sightings.len());
         for batch in sightings.chunks(BATCH) {
-            let (composites, geometry) = stack(batch, &self.header, rig, &self.device);
+            let (composites, readings) = stack(&self.header, batch, rig, &self.device);
+            let geometry: Vec<f32> = readings
+                .iter()
+                .flat_map(|reading| reading.geometry.iter().copied())
+                .collect();
+            let shape = [batch.len(), self.header.geometry_numbers()];
+            let geometry = Tensor::from_data(TensorData::new(geometry, shape), &self.device);
             let estimated = self.network.forward(composites, geometry);
             let values = estimated.try_into_vec_as::<f32>().map_err(|source| {
                 Error::device(
@@ -134,38 +152,31 @@ impl DistanceEstimator {
                     "try another device",
                 )
             })?;
-            let metres = values.into_iter().zip(batch).map(|(value, sighting)| {
-                let [left, right] = &sighting.boxes;
-                let per_output = self.header.readout.distance_per_output([left, right], rig);
-                f64::from(value) * per_output
-            });
+            let metres = values
+                .into_iter()
+                .zip(&readings)
+                .map(|(value, reading)| reading.distance_m(f64::from(value)));
             distances_m.extend(metres);
         }
         Ok(distances_m)
     }
 }
 
-/// Composites `[batch, 3, height, width]`, normalised, and geometry vectors `[batch, 2]`.
+/// Composites `[batch, 3, height, width]`, normalised, and the numbers beside them.
 fn stack(
-    sightings: &[Sighting],
     header: &RangingHeader,
+    sightings: &[Sighting],
     rig: &StereoRig,
     device: &Device,
-) -> (Tensor<4>, Tensor<2>) {
-    let (size, normalization) = (header.composite, &header.normalization);
+) -> (Tensor<4>, Vec<Reading>) {
+    let size = header.composite;
     let mut planes = vec![0.0; sightings.len() * size.plane_values()];
-    planes
+    let readings = planes
         .par_chunks_exact_mut(size.plane_values())
         .zip(sightings)
-        .for_each(|(planes, sighting)| {
-            let [left, right] = &sighting.boxes;
-            composite_into_planes(sighting.images, [left, right], size, normalization, planes);
-        });
-    let geometry: Vec<f32> = sightings
-        .iter()
-        .flat_map(|sighting| {
-            let [left, right] = &sighting.boxes;
-            sizes_as_trained([left, right], rig, &header.rig)
+        .map(|(planes, sighting)| {
+            header.compose(sighting, planes);
+            header.reading(sighting, rig)
         })
         .collect();
     let shape = [
@@ -174,8 +185,6 @@ fn stack(
         size.height as usize,
         size.width as usize,
     ];
-    (
-        Tensor::from_data(TensorData::new(planes, shape), device),
-        Tensor::from_data(TensorData::new(geometry, [sightings.len(), 2]), device),
-    )
+    let composites = Tensor::from_data(TensorData::new(planes, shape), device);
+    (composites, readings)
 }

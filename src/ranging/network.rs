@@ -20,8 +20,6 @@ pub const BLOCK_CHANNELS: [&[usize]; 5] = [
     &[10, 5, 5],
 ];
 
-/// Numbers in the geometry vector: normalised box width and height.
-const GEOMETRY: usize = 2;
 const HIDDEN: [usize; 2] = [128, 64];
 
 /// Bounds of the initial weights that keep the signal's variance through a linear convolution and
@@ -37,6 +35,10 @@ pub struct RangingConfig {
     pub height: usize,
     /// Width of the composite, pixels.
     pub width: usize,
+    /// Numbers in the geometry vector: normalised box width and height, and what is measured
+    /// besides.
+    #[config(default = 2)]
+    pub geometry: usize,
 }
 
 /// The twin-branch network (paper, section 5; twelve convolutions as listed in 5.1).
@@ -114,7 +116,7 @@ impl RangingConfig {
             fc2: DenseConfig::new(HIDDEN[0], HIDDEN[1])
                 .with_gain(RELU_GAIN)
                 .init(device),
-            out: DenseConfig::new(HIDDEN[1] + GEOMETRY, 1).init(device),
+            out: DenseConfig::new(HIDDEN[1] + self.geometry, 1).init(device),
             first_block: None,
         })
     }
@@ -125,8 +127,8 @@ impl RangingNetwork {
     ///
     /// # Shapes
     /// - composite: `[batch, 3, height, width]`, right crop on top, normalised
-    /// - geometry: `[batch, 2]`, normalised box width and height
-    /// - output: `[batch, 1]`, metres
+    /// - geometry: `[batch, numbers]`, see [`RangingConfig::geometry`]
+    /// - output: `[batch, 1]`, metres of what the [`Readout`](super::Readout) says
     pub fn forward(&self, composite: Tensor<4>, geometry: Tensor<2>) -> Tensor<2> {
         kernels::on_pool(&composite.device(), || {
             self.readout(self.features(composite).fc2, geometry)

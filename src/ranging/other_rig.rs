@@ -173,6 +173,7 @@ impl fmt::Display for RigNote {
                     match readout {
                         Readout::Size =>
                             ", and its metres of vehicle become metres of distance by these cameras",
+                        Readout::Surface => ", and surfaces are triangulated by these cameras",
                         Readout::Distance => "",
                     },
                     1.0 / enlarged

@@ -1,4 +1,5 @@
-//! What the network's output stands for: metres to the vehicle, or metres of vehicle.
+//! What the network's output stands for: metres to the vehicle, metres of vehicle, or metres behind
+//! its surface.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +23,15 @@ pub enum Readout {
     Distance,
     /// The extent across the line of sight that the boxes enclose, metres.
     Size,
+    /// How far the vehicle's centre, which is labelled, lies behind its visible surface, which
+    /// matching measures; metres. Only where the disparity is measured.
+    ///
+    /// That depends on which vehicle it is and from where it is seen, which a crop shows, and hardly on
+    /// the distance: on rendered streets (640 pixels wide, 90 degrees) its median is 0.5 m near 10 m
+    /// as near 40 m, with a spread of 0.35 m and 0.4 to 0.65 m. As a ratio that spread halves on the
+    /// way, and in pixels of disparity it falls to a sixth: the last layer, which can only add, need
+    /// not learn either.
+    Surface,
 }
 
 impl Readout {
@@ -33,7 +43,7 @@ impl Readout {
     /// `size / side`, and the distance lies along the ray.
     pub fn distance_per_output(self, boxes: [&PixelBox; 2], rig: &StereoRig) -> f64 {
         match self {
-            Self::Distance => 1.0,
+            Self::Distance | Self::Surface => 1.0,
             Self::Size => {
                 let [left, right] = boxes;
                 f64::midpoint(

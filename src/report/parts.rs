@@ -3,12 +3,12 @@
 use serde::Serialize;
 
 use crate::error::Result;
-pub(super) use crate::evaluate::{number, percent};
+pub(crate) use crate::evaluate::{number, percent};
 use crate::page::charts::{Figure, Rgb, hex};
 
 /// The whole page.
 #[derive(Serialize)]
-pub(super) struct Page {
+pub(crate) struct Page {
     pub title: String,
     pub facts: Vec<[String; 2]>,
     pub missing: Vec<String>,
@@ -17,7 +17,7 @@ pub(super) struct Page {
 
 /// A part of the page with its own heading.
 #[derive(Serialize, Default)]
-pub(super) struct Section {
+pub(crate) struct Section {
     pub title: String,
     pub notes: Vec<String>,
     pub blocks: Vec<Block>,
@@ -26,7 +26,7 @@ pub(super) struct Section {
 /// Something in a section.
 #[derive(Serialize)]
 #[serde(tag = "kind", rename_all = "lowercase")]
-pub(super) enum Block {
+pub(crate) enum Block {
     /// A heading.
     Heading { text: String },
     /// Rows under a header.
@@ -49,7 +49,7 @@ pub(super) enum Block {
 
 /// A table, and where its numbers come from.
 #[derive(Serialize)]
-pub(super) struct Table {
+pub(crate) struct Table {
     pub title: String,
     pub header: Vec<String>,
     pub rows: Vec<Vec<String>>,
@@ -63,7 +63,7 @@ pub(super) struct Table {
 
 /// A chart, and where its numbers come from.
 #[derive(Serialize)]
-pub(super) struct Chart {
+pub(crate) struct Chart {
     pub title: String,
     pub svg: String,
     pub legend: Vec<LegendEntry>,
@@ -72,14 +72,14 @@ pub(super) struct Chart {
 
 /// A colour and what it stands for.
 #[derive(Serialize)]
-pub(super) struct LegendEntry {
+pub(crate) struct LegendEntry {
     pub color: String,
     pub name: String,
 }
 
 /// A picture.
 #[derive(Serialize)]
-pub(super) struct Picture {
+pub(crate) struct Picture {
     pub caption: String,
     pub jpeg: String,
 }
@@ -155,7 +155,7 @@ impl Chart {
 }
 
 /// A number with its bounds.
-pub(super) fn bounded(
+pub(crate) fn bounded(
     value: Option<f64>,
     [low, high]: [Option<f64>; 2],
     decimals: usize,

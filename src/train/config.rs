@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+pub use super::choices::{DetectorMerit, DistanceMerit, OptimizerKind, Schedule, TrainingBoxes};
 use crate::dataset::{BoxKind, CompositeSize, SplitBy};
 use crate::detector::Scale;
 use crate::error::{Error, Result};
 use crate::files;
-use crate::ranging::Readout;
+use crate::ranging::{Crops, Readout};
 
 /// The presets that come with the program.
 const PRESETS: [(&str, &str); 2] = [
@@ -34,54 +35,6 @@ pub struct TrainConfig {
     pub detector: DetectorTraining,
     /// The distance network's training.
     pub distance: DistanceTraining,
-}
-
-/// How the learning rate falls after the warm-up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Schedule {
-    /// In a straight line.
-    Linear,
-    /// Along half a cosine.
-    Cosine,
-}
-
-/// What turns gradients into steps.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum OptimizerKind {
-    /// Adam, as in the paper; weight decay is added to the gradient.
-    #[default]
-    Adam,
-    /// Adam with decoupled weight decay.
-    AdamW,
-    /// Stochastic gradient descent with Nesterov momentum; wants a learning rate of about 0.01.
-    Sgd,
-}
-
-/// What the best epoch of the detector is best by.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum DetectorMerit {
-    /// Mean average precision over IoU 0.50 to 0.95.
-    #[default]
-    #[serde(rename = "map50_95")]
-    Map50To95,
-    /// Mean average precision at IoU 0.50.
-    #[serde(rename = "map50")]
-    Map50,
-}
-
-/// What the best epoch of the distance network is best by; the smallest is best.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum DistanceMerit {
-    /// Mean relative error.
-    #[default]
-    Mre,
-    /// Mean absolute error.
-    Mae,
-    /// Root mean squared error.
-    Rmse,
 }
 
 /// Settings of the detector's training.
@@ -164,6 +117,13 @@ pub struct DistanceTraining {
     /// What the network's output stands for.
     #[serde(default)]
     pub readout: Readout,
+    /// Which crops the composites hold.
+    #[serde(default)]
+    pub inputs: Crops,
+    /// Extend the geometry vector by the sub-pixel disparity of the box's pixels, measured as
+    /// prediction does on the boxes and images that the network sees.
+    #[serde(default)]
+    pub disparity: bool,
     /// Passes over the training vehicles.
     pub epochs: u32,
     /// Composites per optimiser step.
@@ -184,6 +144,9 @@ pub struct DistanceTraining {
     /// Fit the first weights to the data, rather than start from random numbers alone: every layer
     /// normalised on training composites, the last one by ridge regression.
     pub fit_start: bool,
+    /// Whose boxes are trained on. Validation has the labels'.
+    #[serde(default)]
+    pub boxes: TrainingBoxes,
     /// Spread of the boxes' edges around the labels, as a share of the box: imitates the
     /// detector's errors. 0 trains on the labels' boxes alone.
     pub box_jitter: f64,
@@ -347,6 +310,13 @@ impl TrainConfig {
             }
         }
         CompositeSize::new(distance.composite.height, distance.composite.width)?;
+        if distance.readout == Readout::Surface && !distance.disparity {
+            return Err(Error::value(
+                "distance.readout = \"surface\"",
+                "counts from the surface that the disparity shows, which is not measured",
+                "set distance.disparity = true as well, or another readout",
+            ));
+        }
         Ok(())
     }
 }

@@ -1,5 +1,8 @@
 //! The distance network's recipe.
 
+mod detected;
+mod load;
+
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
@@ -7,12 +10,8 @@ use std::sync::Arc;
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor, TensorData};
 use image::{Rgb, RgbImage};
-use rand::RngExt as _;
-use rand_pcg::Pcg64;
-use rayon::prelude::*;
 
-use super::augment::mirror_composite;
-use super::config::{DistanceMerit, DistanceTraining, TrainConfig};
+use super::config::{DistanceMerit, DistanceTraining, TrainConfig, TrainingBoxes};
 use super::frame_cache::FrameCache;
 use super::log::EpochRow;
 use super::normalize::normalize_layers;
@@ -21,17 +20,18 @@ use super::readout::fit_readout;
 use super::stage::{PassLoss, PreparedStage, Recipe, Steering, device_of};
 use crate::annotate::write_text;
 use crate::dataset::{
-    CompositeSize, CompositeStatistics, Frame, Split, StereoDataset, StereoLabel,
-    composite_into_planes, geometry_vector, is_prepared, prepare,
+    CompositeSize, CompositeStatistics, Split, StereoDataset, is_prepared, prepare,
 };
 use crate::error::{Error, Result};
-use crate::geometry::{PixelBox, StereoRig};
+use crate::geometry::StereoRig;
 use crate::imaging::ChannelStatistics;
 use crate::metrics::DistanceErrors;
 use crate::progress::Progress;
 use crate::ranging::{
-    DistanceEstimator, RangingConfig, RangingHeader, RangingNetwork, ranging_loss,
+    DistanceEstimator, RangingHeader, RangingNetwork, Readout, VehicleSizes, ranging_loss,
 };
+use detected::DetectedBoxes;
+use load::{LoadedComposites, Vehicle};
 
 /// Validation composites in TensorBoard, at most.
 const SHOWN: usize = 8;
@@ -40,13 +40,6 @@ const RMSE: &str = "validation/rmse_m";
 const MRE: &str = "validation/mre_percent";
 /// Composites on which the first weights are normalised, at most.
 const NORMALIZED: usize = 32;
-
-/// A labelled vehicle in its frame.
-#[derive(Debug, Clone)]
-struct Vehicle {
-    frame: Arc<Frame>,
-    label: StereoLabel,
-}
 
 /// Training vehicles, augmentation and loss of the distance network.
 pub struct DistanceRecipe {
@@ -58,17 +51,22 @@ pub struct DistanceRecipe {
     val: Vec<Vehicle>,
     frames: FrameCache,
     header: RangingHeader,
+    /// Check sum of the detector whose boxes are trained on.
+    detector: Option<String>,
 }
 
 impl DistanceRecipe {
     /// Opens the data of a dataset for the distance network; writes the composites and their
-    /// statistics first where they are missing.
+    /// statistics first where they are missing. Boxes of the detector are those of the run in the
+    /// given folder, and labelled boxes without one.
     ///
     /// # Errors
-    /// A dataset without training vehicles, or composites that cannot be written.
+    /// A dataset without training vehicles, composites that cannot be written, or a run without the
+    /// detector whose boxes are wanted.
     fn new(
         config: &TrainConfig,
         dataset: &StereoDataset,
+        run: Option<&Path>,
         device: &Device,
         progress: &dyn Progress,
     ) -> Result<Self> {
@@ -88,14 +86,11 @@ impl DistanceRecipe {
                     frame
                         .vehicles(config.box_kind)
                         .into_iter()
-                        .map(move |label| Vehicle {
-                            frame: Arc::clone(&shared),
-                            label,
-                        })
+                        .map(move |label| Vehicle::new(Arc::clone(&shared), label))
                 })
                 .collect()
         };
-        let train = vehicles(Split::Train);
+        let mut train = vehicles(Split::Train);
         let device_plain = device.clone().without_autodiff();
         let given = settings
             .weights
@@ -111,7 +106,26 @@ impl DistanceRecipe {
             ));
         };
         // Given weights go on with the numbers that they were trained with.
-        let normalization = given.map_or(normalization, |(_, header)| header.normalization);
+        let normalization = given
+            .as_ref()
+            .map_or(normalization, |(_, header)| header.normalization);
+        let sizes = match given.and_then(|(_, header)| header.sizes) {
+            _ if !settings.disparity => None,
+            Some(sizes) => Some(sizes),
+            None => VehicleSizes::of(train.iter().map(|vehicle| {
+                let [left, right] = &vehicle.boxes();
+                let size = Readout::Size.distance_per_output([left, right], dataset.rig());
+                vehicle.label.distance_m / size
+            })),
+        };
+        let detector = match run {
+            Some(run) if settings.boxes == TrainingBoxes::Detector => {
+                let found = DetectedBoxes::of_run(run, dataset, config.box_kind, device, progress)?;
+                exchange_boxes(&mut train, &found, progress);
+                Some(found.detector)
+            }
+            _ => None,
+        };
         Ok(Self {
             seed: config.seed,
             device: device.clone().autodiff(),
@@ -124,11 +138,14 @@ impl DistanceRecipe {
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 composite: settings.composite,
                 readout: settings.readout,
+                crops: settings.inputs,
+                sizes,
                 normalization,
                 box_kind: config.box_kind,
                 classes: dataset.classes().to_vec(),
                 rig: *dataset.rig(),
             },
+            detector,
             settings,
         })
     }
@@ -140,10 +157,11 @@ impl DistanceRecipe {
     pub fn prepared(
         config: &TrainConfig,
         dataset: &StereoDataset,
+        run: Option<&Path>,
         device: &Device,
         progress: &dyn Progress,
     ) -> Result<PreparedStage<Self>> {
-        let recipe = Self::new(config, dataset, device, progress)?;
+        let recipe = Self::new(config, dataset, run, device, progress)?;
         Ok(PreparedStage {
             steering: recipe.steering(),
             network: recipe.model(progress)?,
@@ -164,7 +182,7 @@ impl DistanceRecipe {
             let network = self.given_weights(path, &device)?;
             return freeze_named(network.train());
         }
-        let network = RangingConfig::for_size(self.settings.composite).init(&device)?;
+        let network = self.header.config().init(&device)?;
         initialize(&network);
         if !self.settings.fit_start {
             return freeze_named(network.train());
@@ -179,10 +197,20 @@ impl DistanceRecipe {
         let network = normalize_layers(network, composites);
         let mut rows = Vec::new();
         let mut outputs = Vec::with_capacity(self.train.len());
+        let mut weights = Vec::with_capacity(self.train.len());
+        let mut found = 0;
         for vehicles in self.train.chunks(self.settings.micro_batch) {
             let loaded = self.composites(vehicles, None)?;
-            let wanted = loaded.distances_m.iter().zip(&loaded.distance_per_output);
-            outputs.extend(wanted.map(|(distance, per)| f64::from(*distance) / f64::from(*per)));
+            for (reading, &distance_m) in loaded.readings.iter().zip(&loaded.distances_m) {
+                let distance_m = f64::from(distance_m);
+                found += usize::from(reading.surface_found() == Some(true));
+                // In the precision of the batches that the network will be trained on.
+                let per_output = f64::from(reading.distance_per_output as f32);
+                let at_zero_m = f64::from(reading.distance_at_zero_m as f32);
+                outputs.push((distance_m - at_zero_m) / per_output);
+                // As the loss's relative term does: by the error of distance that an error makes.
+                weights.push((distance_m / per_output).powi(-2));
+            }
             let batch = self.batch(loaded, &device);
             let features = network.features(batch.composites).fc2;
             let inputs = Tensor::cat(vec![features, batch.geometry], 1);
@@ -194,7 +222,14 @@ impl DistanceRecipe {
             progress.advance(vehicles.len() as u64);
         }
         progress.end();
-        freeze_named(fit_readout(network, &rows, &outputs).train())
+        if self.settings.disparity {
+            progress.note(&format!(
+                "distance: the disparity says how far {found} of {} training vehicles are, the size of \
+                 the others is taken for typical",
+                self.train.len()
+            ));
+        }
+        freeze_named(fit_readout(network, &rows, &outputs, &weights).train())
     }
 
     /// The network to go on from; it must see the same composites and mean the same by its output.
@@ -217,6 +252,16 @@ impl DistanceRecipe {
             let readout = format!("{:?}", given.readout).to_lowercase();
             let setting = format!("distance.readout = \"{readout}\"");
             return refuse("the readout", readout, setting);
+        }
+        if given.crops != wanted.crops {
+            let word = given.crops.word();
+            let setting = format!("distance.inputs = \"{word}\"");
+            return refuse("the inputs", word.to_owned(), setting);
+        }
+        if given.sizes.is_some() != wanted.sizes.is_some() {
+            let is_given = given.sizes.is_some();
+            let setting = format!("distance.disparity = {is_given}");
+            return refuse("disparity", is_given.to_string(), setting);
         }
         Ok(network)
     }
@@ -242,65 +287,8 @@ impl DistanceRecipe {
             validate_every: settings.validate_every,
             patience: settings.patience,
             keep_last: settings.keep_last,
-            settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }).to_string(),
+            settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings, "detector": self.detector }).to_string(),
         }
-    }
-
-    /// Loads composites; with an epoch they are changed at random.
-    fn composites(
-        &self,
-        vehicles: &[Vehicle],
-        epoch: Option<(u32, &[usize])>,
-    ) -> Result<LoadedComposites> {
-        let size = self.settings.composite;
-        let mut planes = vec![0.0; vehicles.len() * size.plane_values()];
-        let geometry = planes
-            .par_chunks_exact_mut(size.plane_values())
-            .zip(vehicles)
-            .enumerate()
-            .map(|(position, (planes, vehicle))| {
-                let images = self.frames.load(&vehicle.frame, &self.rig)?;
-                let mut boxes = [vehicle.label.left.box_pixel, vehicle.label.right.box_pixel];
-                let mut random = epoch.map(|(epoch, items)| {
-                    let stream = (u128::from(epoch) << 64) | items[position] as u128;
-                    Pcg64::new(u128::from(self.seed) + 1, stream)
-                });
-                if let Some(random) = &mut random {
-                    boxes = boxes.map(|area| self.jitter(area, random));
-                }
-                let [left, right] = &boxes;
-                let normalization = &self.header.normalization;
-                composite_into_planes(
-                    [&images[0], &images[1]],
-                    [left, right],
-                    size,
-                    normalization,
-                    planes,
-                );
-                if let Some(random) = &mut random {
-                    self.change(planes, random);
-                }
-                let (width, height) = images[0].dimensions();
-                let per_output = self
-                    .settings
-                    .readout
-                    .distance_per_output([left, right], &self.rig);
-                Ok((
-                    geometry_vector(left, right, width, height),
-                    per_output as f32,
-                ))
-            })
-            .collect::<Result<Vec<([f32; 2], f32)>>>()?;
-        let (geometry, distance_per_output) = geometry.into_iter().unzip();
-        Ok(LoadedComposites {
-            planes,
-            geometry,
-            distance_per_output,
-            distances_m: vehicles
-                .iter()
-                .map(|vehicle| vehicle.label.distance_m as f32)
-                .collect(),
-        })
     }
 
     /// Takes composites to a device.
@@ -308,13 +296,19 @@ impl DistanceRecipe {
         let size = self.settings.composite;
         let count = loaded.distances_m.len();
         let shape = [count, 3, size.height as usize, size.width as usize];
-        let geometry = TensorData::new(loaded.geometry.concat(), [count, 2]);
+        let numbers = self.header.geometry_numbers();
+        let readings = &loaded.readings;
+        let geometry = readings.iter().flat_map(|reading| &reading.geometry);
+        let geometry = TensorData::new(geometry.copied().collect(), [count, numbers]);
         let column =
             |values: Vec<f32>| Tensor::from_data(TensorData::new(values, [count, 1]), device);
+        let per_output = readings.iter().map(|r| r.distance_per_output as f32);
+        let at_zero_m = readings.iter().map(|r| r.distance_at_zero_m as f32);
         Batch {
             composites: Tensor::from_data(TensorData::new(loaded.planes, shape), device),
             geometry: Tensor::from_data(geometry, device),
-            distance_per_output: column(loaded.distance_per_output),
+            distance_per_output: column(per_output.collect()),
+            distance_at_zero_m: column(at_zero_m.collect()),
             distances_m: column(loaded.distances_m),
         }
     }
@@ -335,50 +329,33 @@ impl DistanceRecipe {
             }
         }
     }
-
-    /// Moves the edges of a box as a detector's errors do.
-    fn jitter(&self, area: PixelBox, random: &mut Pcg64) -> PixelBox {
-        let mut moved = |edge: f64, side: f64| {
-            // The sum of three uniform numbers is close to normal, and bounded.
-            let error: f64 = (0..3).map(|_| random.random_range(-1.0..1.0)).sum();
-            edge + self.settings.box_jitter * side * error
-        };
-        let (width, height) = (area.width(), area.height());
-        PixelBox::new(
-            moved(area.x_min, width),
-            moved(area.y_min, height),
-            moved(area.x_max, width),
-            moved(area.y_max, height),
-        )
-    }
-
-    /// Changes brightness and contrast, and mirrors.
-    fn change(&self, planes: &mut [f32], random: &mut Pcg64) {
-        let size = self.settings.composite;
-        let strength = self.settings.photometric;
-        let contrast = 1.0 + strength * random.random_range(-1.0..1.0);
-        let brightness = 0.5 * strength * random.random_range(-1.0..1.0);
-        let ChannelStatistics { mean, std } = self.header.normalization;
-        let area = size.height as usize * size.width as usize;
-        for (channel, plane) in planes.chunks_exact_mut(area).enumerate() {
-            // In pixel values: contrast * value + brightness; here the values are normalised.
-            let shift = (mean[channel] * (contrast - 1.0) + brightness) / std[channel].max(1e-6);
-            for value in plane {
-                *value = *value * contrast as f32 + shift as f32;
-            }
-        }
-        if random.random_bool(self.settings.flip) {
-            mirror_composite(planes, size.height as usize, size.width as usize);
-        }
-    }
 }
 
-/// Composites `[batch, 3, height, width]`, geometry `[batch, 2]`; metres of distance per unit of the
-/// network's output and true distances, `[batch, 1]`.
+/// Gives vehicles the boxes that the detector found around them, and says how many it missed.
+fn exchange_boxes(vehicles: &mut [Vehicle], found: &DetectedBoxes, progress: &dyn Progress) {
+    let found = found.by_vehicle();
+    let mut count = 0;
+    for vehicle in vehicles.iter_mut() {
+        vehicle.detected = found
+            .get(&(vehicle.frame.row.stamp, vehicle.label.id))
+            .copied();
+        count += usize::from(vehicle.detected.is_some());
+    }
+    progress.note(&format!(
+        "distance: {count} of {} training vehicles ({:.0} %) have the detector's boxes, the others \
+         their labels', moved at random",
+        vehicles.len(),
+        100.0 * count as f64 / vehicles.len().max(1) as f64
+    ));
+}
+
+/// Composites `[batch, 3, height, width]`, geometry `[batch, numbers]`; metres of distance per unit of
+/// the network's output and at an output of 0, and true distances, `[batch, 1]`.
 struct Batch {
     composites: Tensor<4>,
     geometry: Tensor<2>,
     distance_per_output: Tensor<2>,
+    distance_at_zero_m: Tensor<2>,
     distances_m: Tensor<2>,
 }
 
@@ -386,7 +363,7 @@ impl Batch {
     /// The network's distances, metres, `[batch, 1]`.
     fn predict(&self, network: &RangingNetwork) -> Tensor<2> {
         let output = network.forward(self.composites.clone(), self.geometry.clone());
-        output * self.distance_per_output.clone()
+        output * self.distance_per_output.clone() + self.distance_at_zero_m.clone()
     }
 
     /// The network's distances, metres, read back.
@@ -395,14 +372,6 @@ impl Batch {
             .try_into_vec_as::<f64>()
             .map_err(|source| Error::training(source.to_string(), "try another device"))
     }
-}
-
-/// What a [`Batch`] holds before it goes to a device.
-pub struct LoadedComposites {
-    planes: Vec<f32>,
-    geometry: Vec<[f32; 2]>,
-    distance_per_output: Vec<f32>,
-    distances_m: Vec<f32>,
 }
 
 impl Recipe for DistanceRecipe {

@@ -2,6 +2,7 @@
 
 pub mod augment;
 mod checkpoint;
+mod choices;
 mod config;
 mod detector;
 mod devices;
@@ -24,8 +25,9 @@ mod trainee;
 pub use checkpoint::{StageFolder, StageState};
 pub use config::{
     DetectorMerit, DetectorTraining, DistanceMerit, DistanceTraining, OptimizerKind, Schedule,
-    TrainConfig,
+    TrainConfig, TrainingBoxes,
 };
+pub(crate) use devices::DeviceSet;
 pub use log::{EpochRow, RunLog};
 pub use plan::{StagePlan, TrainPlan, plan};
 pub use run::{Stage, TrainRequest, TrainSummary, saved_config, train};

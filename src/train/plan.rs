@@ -75,7 +75,7 @@ pub fn plan(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainPlan
         stages.push(measure(stage, &devices)?);
     }
     if request.stage != Stage::Detector {
-        let stage = DistanceRecipe::prepared(request.config, &dataset, device, progress)?;
+        let stage = DistanceRecipe::prepared(request.config, &dataset, None, device, progress)?;
         stages.push(measure(stage, &devices)?);
     }
     Ok(TrainPlan { stages })
@@ -187,7 +187,7 @@ impl fmt::Display for TrainPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "{:<10}{:>12}{:>9}{:>8}{:>9}{:>10}{:>10}{:>10}{:>10}",
+            "{:<12}{:>12}{:>9}{:>8}{:>9}{:>10}{:>10}{:>10}{:>10}",
             "network",
             "parameters",
             "items",
@@ -202,7 +202,7 @@ impl fmt::Display for TrainPlan {
             let peak = stage.peak_mib.map_or("?".to_owned(), |mib| mib.to_string());
             writeln!(
                 f,
-                "{:<10}{:>12}{:>9}{:>8}{:>9}{:>10.3}{:>10.3}{:>10.1}{:>10}",
+                "{:<12}{:>12}{:>9}{:>8}{:>9}{:>10.3}{:>10.3}{:>10.1}{:>10}",
                 stage.stage,
                 stage.parameters,
                 stage.items,

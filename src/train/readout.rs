@@ -11,19 +11,19 @@ const RIDGE: f64 = 0.1;
 /// Sets the last layer to the ridge regression of its wanted output on features and geometry.
 ///
 /// Metres are large numbers, and Adam at its usual rate walks there slowly; from the regression on
-/// the untrained features the first steps already pull at the right ends. Each vehicle is
-/// weighted by the inverse square of its output, as the loss's relative term does.
+/// the untrained features the first steps already pull at the right ends.
 ///
-/// `rows` hold the last layer's inputs of each training vehicle.
+/// `rows` hold the last layer's inputs of each training vehicle, `weights` how much it counts.
 pub fn fit_readout(
     mut network: RangingNetwork,
     rows: &[Vec<f64>],
     outputs: &[f64],
+    weights: &[f64],
 ) -> RangingNetwork {
     if rows.is_empty() {
         return network;
     }
-    let (slopes, bias) = regress(rows, outputs);
+    let (slopes, bias) = regress(rows, outputs, weights);
     network.out.weight = network.out.weight.map(|tensor| {
         let slopes: Vec<f32> = slopes.iter().map(|slope| *slope as f32).collect();
         Tensor::from_data(TensorData::new(slopes, tensor.dims()), &tensor.device())
@@ -36,9 +36,8 @@ pub fn fit_readout(
 }
 
 /// Weighted ridge regression: one slope a column, and the constant.
-fn regress(rows: &[Vec<f64>], targets: &[f64]) -> (Vec<f64>, f64) {
+fn regress(rows: &[Vec<f64>], targets: &[f64], weights: &[f64]) -> (Vec<f64>, f64) {
     let width = rows[0].len();
-    let weights: Vec<f64> = targets.iter().map(|target| target.powi(-2)).collect();
     let total: f64 = weights.iter().sum();
     let mean = |value: &dyn Fn(usize) -> f64| -> f64 {
         weights
@@ -64,7 +63,7 @@ fn regress(rows: &[Vec<f64>], targets: &[f64]) -> (Vec<f64>, f64) {
         }
     };
     let mut matrix = vec![vec![0.0; width + 1]; width];
-    for ((row, target), weight) in rows.iter().zip(targets).zip(&weights) {
+    for ((row, target), weight) in rows.iter().zip(targets).zip(weights) {
         let values: Vec<f64> = (0..width)
             .map(|column| (row[column] - means[column]) * scale(column))
             .collect();
@@ -133,7 +132,8 @@ mod tests {
             .iter()
             .map(|row| 10.0 + 40.0 * row[0] + row[2])
             .collect();
-        let (slopes, bias) = regress(&rows, &targets);
+        let weights: Vec<f64> = targets.iter().map(|target| target.powi(-2)).collect();
+        let (slopes, bias) = regress(&rows, &targets, &weights);
         assert_eq!(slopes[1], 0.0);
         for (row, target) in rows.iter().zip(&targets) {
             let fitted = bias + row.iter().zip(&slopes).map(|(v, s)| v * s).sum::<f64>();

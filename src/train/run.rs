@@ -101,7 +101,13 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
         summary.detector_seconds = Some(run_announced(stage, &place())?.seconds);
     }
     if request.stage != Stage::Detector {
-        let stage = DistanceRecipe::prepared(request.config, &dataset, device, progress)?;
+        let stage = DistanceRecipe::prepared(
+            request.config,
+            &dataset,
+            Some(request.run),
+            device,
+            progress,
+        )?;
         summary.distance_seconds = Some(run_announced(stage, &place())?.seconds);
     }
     let complete = ["detector", "distance"]

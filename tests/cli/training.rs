@@ -252,3 +252,47 @@ fn training_stops_early_and_keeps_the_last_epochs() {
     assert!(epochs < 2 || kept(epochs - 1));
     assert!(epochs < 3 || !kept(epochs - 2));
 }
+
+#[test]
+fn the_distance_network_can_be_trained_on_the_boxes_of_its_own_detector() {
+    let place = with_dataset();
+    place.write(
+        "own.toml",
+        format!("{}\nboxes = \"detector\"\n", super::TINY_TRAINING),
+    );
+    let line = "train distance --config own.toml --data data --run r";
+    place
+        .line(line)
+        .error_says(&["detector", "train detector --run r"]);
+    place
+        .line(&line.replace("train distance", "train"))
+        .success();
+    let boxes = fs::read(place.path("r/distance/detector_boxes.json")).unwrap();
+    let weights = fs::read(place.path("r/distance/best.safetensors")).unwrap();
+    // The same boxes again, found anew: the same training.
+    place
+        .line(
+            &line
+                .replace("--run r", "--run s")
+                .replace("train distance", "train"),
+        )
+        .success();
+    assert_eq!(
+        boxes,
+        fs::read(place.path("s/distance/detector_boxes.json")).unwrap()
+    );
+    assert_eq!(
+        weights,
+        fs::read(place.path("s/distance/best.safetensors")).unwrap()
+    );
+    place.line(&format!("{line} --resume")).success();
+    // Another detector's boxes are another training.
+    place
+        .line("train detector --config own.toml --data data --run t --seed 7")
+        .success();
+    let weights = ["t", "r"].map(|run| place.path(format!("{run}/detector/best.safetensors")));
+    fs::copy(&weights[0], &weights[1]).unwrap();
+    place
+        .line(&format!("{line} --resume"))
+        .error_says(&["settings"]);
+}

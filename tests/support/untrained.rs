@@ -7,7 +7,7 @@ use twinsight::detector::{DetectorHeader, Scale, VehicleDetector, Yolo11Config};
 use twinsight::device::DeviceName;
 use twinsight::geometry::StereoRig;
 use twinsight::imaging::ChannelStatistics;
-use twinsight::ranging::{DistanceEstimator, RangingConfig, RangingHeader, Readout};
+use twinsight::ranging::{Crops, DistanceEstimator, RangingConfig, RangingHeader, Readout};
 use twinsight::train::StageFolder;
 
 /// Writes both networks for images of 16:9 with two classes, the detector's input `image_size`
@@ -40,6 +40,8 @@ pub fn write_run(run: &Path, image_size: u32) {
         version: "0".to_owned(),
         composite,
         readout: Readout::Size,
+        crops: Crops::default(),
+        sizes: None,
         normalization: ChannelStatistics {
             mean: [0.4; 3],
             std: [0.2; 3],
