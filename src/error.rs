@@ -229,3 +229,10 @@ fn io_remedy(source: &std::io::Error) -> &'static str {
         _ => "",
     }
 }
+
+/// The first line of what the YAML parser says, which goes on with an excerpt.
+pub(crate) fn yaml_problem(error: &serde_saphyr::Error) -> String {
+    let text = error.to_string();
+    let line = text.lines().next().unwrap_or_default();
+    line.strip_prefix("error: ").unwrap_or(line).to_owned()
+}

@@ -9,6 +9,19 @@ use std::process::{Command, Output};
 
 use untrained::{texture, write_run};
 
+/// Beginnings of the variables that cargo sets for the tests of one package.
+const OF_THIS_PACKAGE: [&str; 9] = [
+    "CARGO_PKG_",
+    "CARGO_MANIFEST_",
+    "CARGO_BIN_",
+    "CARGO_CRATE_",
+    "CARGO_CFG_",
+    "CARGO_PRIMARY_PACKAGE",
+    "CARGO_TARGET_TMPDIR",
+    "CARGO_RUSTC_CURRENT_DIR",
+    "OUT_DIR",
+];
+
 /// Builds the program with the features and the profile of this build, so that only the program
 /// itself is compiled.
 fn build() -> std::path::PathBuf {
@@ -33,10 +46,14 @@ fn build() -> std::path::PathBuf {
     if !cfg!(debug_assertions) {
         cargo.arg("--release");
     }
-    // What the running cargo says of this package is not said of the other one.
+    // What the running cargo says of this package is not said of the other one, and build scripts
+    // that look at it would start afresh.
     for (name, _) in std::env::vars_os() {
         let text = name.to_string_lossy();
-        if text.starts_with("CARGO_PKG_") || text.starts_with("CARGO_MANIFEST") {
+        if OF_THIS_PACKAGE
+            .iter()
+            .any(|prefix| text.starts_with(prefix))
+        {
             cargo.env_remove(name);
         }
     }

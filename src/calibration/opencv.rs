@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 
 use super::HALF_PIXEL;
 use super::entries::{Entries, Matrix};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, yaml_problem};
 use crate::geometry::{CalibrationParts, Distortion, GivenRectification, Intrinsics, LensCamera};
 
 /// Words for the left and the right camera. Those before others win where a file has both.
@@ -97,7 +97,7 @@ fn tree(text: &str) -> Result<serde_json::Value> {
     serde_saphyr::from_str(&body).map_err(|error| {
         Error::value(
             "YAML",
-            error.to_string().lines().next().unwrap_or_default(),
+            yaml_problem(&error),
             "correct the file, or save it again with OpenCV's FileStorage",
         )
     })

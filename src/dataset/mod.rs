@@ -4,6 +4,7 @@
 //! composites, which [`CompositeSet`] reads. [`DetectionSource`] and [`RangingSource`] hand either
 //! to Burn's data loaders. Nothing here knows networks or tensors.
 
+mod cache;
 mod composite;
 mod composite_set;
 mod fingerprint;
@@ -18,6 +19,7 @@ mod reader;
 mod resplit;
 mod source;
 
+pub(crate) use cache::DecodedCache;
 pub use composite::{CompositeSize, composite, composite_into_planes, geometry_vector};
 pub(crate) use composite::{Half, half_into_planes};
 pub use composite_set::{CompositeItem, CompositeSet, CompositeStatistics, SplitCounts};

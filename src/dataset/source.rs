@@ -1,62 +1,18 @@
 //! Datasets as Burn's data loaders take them: items by index, decoded when they are asked for.
 
-use std::collections::HashMap;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use burn_dataset::{Dataset, DatasetError};
 use image::RgbImage;
 
+use super::cache::DecodedCache;
 use super::composite_set::CompositeSet;
 use super::frame::Side;
 use super::reader::StereoDataset;
 use super::{BoxKind, Split};
 use crate::error::Result;
 use crate::geometry::{Camera, PixelBox};
-
-/// Decoded images by index, up to a number of bytes.
-///
-/// What comes first stays and the rest is decoded every time: epochs visit everything equally
-/// often, so no image is worth more than another and nothing is gained by throwing one out.
-#[derive(Debug)]
-struct ImageCache {
-    budget_bytes: usize,
-    held: Mutex<Held>,
-}
-
-#[derive(Debug, Default)]
-struct Held {
-    images: HashMap<usize, Arc<RgbImage>>,
-    bytes: usize,
-}
-
-impl ImageCache {
-    fn new(budget_bytes: usize) -> Self {
-        Self {
-            budget_bytes,
-            held: Mutex::default(),
-        }
-    }
-
-    /// The image of this index, decoded by `load` unless it is held.
-    fn get(&self, index: usize, load: impl FnOnce() -> Result<RgbImage>) -> Result<Arc<RgbImage>> {
-        // Nothing can go wrong while the lock is held, so a poisoned lock guards sound data.
-        let lock = || self.held.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(image) = lock().images.get(&index) {
-            return Ok(Arc::clone(image));
-        }
-        // Decoding takes milliseconds and happens without the lock; two threads that want the same
-        // image at once both decode it, which is rare and harmless.
-        let image = Arc::new(load()?);
-        let bytes = image.as_raw().len();
-        let mut held = lock();
-        if held.bytes + bytes <= self.budget_bytes && !held.images.contains_key(&index) {
-            held.bytes += bytes;
-            held.images.insert(index, Arc::clone(&image));
-        }
-        Ok(image)
-    }
-}
 
 /// One image with the boxes that a detector should find in it.
 #[derive(Debug, Clone)]
@@ -79,7 +35,7 @@ pub struct DetectionItem {
 #[derive(Debug)]
 pub struct DetectionSource {
     entries: Vec<DetectionEntry>,
-    cache: ImageCache,
+    cache: DecodedCache<usize, RgbImage>,
 }
 
 #[derive(Debug)]
@@ -119,7 +75,7 @@ impl DetectionSource {
             .collect();
         Self {
             entries,
-            cache: ImageCache::new(cache_bytes),
+            cache: DecodedCache::new(cache_bytes),
         }
     }
 }
@@ -167,7 +123,7 @@ pub struct RangingItem {
 #[derive(Debug)]
 pub struct RangingSource {
     set: CompositeSet,
-    cache: ImageCache,
+    cache: DecodedCache<usize, RgbImage>,
 }
 
 impl RangingSource {
@@ -175,7 +131,7 @@ impl RangingSource {
     pub fn new(set: CompositeSet, cache_bytes: usize) -> Self {
         Self {
             set,
-            cache: ImageCache::new(cache_bytes),
+            cache: DecodedCache::new(cache_bytes),
         }
     }
 
@@ -240,11 +196,7 @@ mod tests {
                     assert_eq!(*item.image, picture(item.stamp, item.side.word()));
                 }
             }
-            let cache = source.cache.held.lock().unwrap();
-            assert_eq!(
-                (cache.images.len(), cache.bytes),
-                (held, held * IMAGE_BYTES)
-            );
+            assert_eq!(source.cache.held(), (held, held * IMAGE_BYTES));
         }
     }
 

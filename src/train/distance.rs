@@ -12,7 +12,6 @@ use burn::tensor::{Device, Tensor, TensorData};
 use image::{Rgb, RgbImage};
 
 use super::config::{DistanceMerit, DistanceTraining, TrainConfig, TrainingBoxes};
-use super::frame_cache::FrameCache;
 use super::log::EpochRow;
 use super::normalize::normalize_layers;
 use super::optimizer::{AverageRule, distance_optimizer, freeze, initialize};
@@ -20,7 +19,7 @@ use super::readout::fit_readout;
 use super::stage::{PassLoss, PreparedStage, Recipe, Steering, device_of};
 use crate::annotate::write_text;
 use crate::dataset::{
-    CompositeSize, CompositeStatistics, Split, StereoDataset, is_prepared, prepare,
+    CompositeSize, CompositeStatistics, DecodedCache, Split, StereoDataset, is_prepared, prepare,
 };
 use crate::error::{Error, Result};
 use crate::geometry::StereoRig;
@@ -49,7 +48,7 @@ pub struct DistanceRecipe {
     rig: StereoRig,
     train: Vec<Vehicle>,
     val: Vec<Vehicle>,
-    frames: FrameCache,
+    frames: DecodedCache<u64, [RgbImage; 2]>,
     header: RangingHeader,
     /// Check sum of the detector whose boxes are trained on.
     detector: Option<String>,
@@ -132,7 +131,7 @@ impl DistanceRecipe {
             rig: *dataset.rig(),
             train,
             val: vehicles(Split::Val),
-            frames: FrameCache::new(config.cache_mib << 20),
+            frames: DecodedCache::new(config.cache_mib << 20),
             header: RangingHeader {
                 network: RangingHeader::NETWORK.to_owned(),
                 version: env!("CARGO_PKG_VERSION").to_owned(),

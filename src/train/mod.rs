@@ -7,7 +7,6 @@ mod config;
 mod detector;
 mod devices;
 mod distance;
-mod frame_cache;
 mod loader;
 mod log;
 mod metrics;

@@ -17,7 +17,7 @@ use super::distance::DistanceRecipe;
 use super::loader::{Pass, steps_per_epoch};
 use super::run::{Stage, TrainRequest, open_dataset};
 use super::schedule::RiseAndFall;
-use super::stage::{PreparedStage, Recipe};
+use super::stage::{PreparedStage, Recipe, device_of};
 use super::trainee::{Failure, Trainee, TraineeOf};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
@@ -38,7 +38,9 @@ pub struct StagePlan {
     pub epochs: u32,
     /// Optimiser steps in all.
     pub steps: u64,
-    /// Seconds of a step, its data loaded beforehand.
+    /// Seconds of a step's forward and backward passes alone, its data loaded beforehand.
+    pub pass_seconds: f64,
+    /// Seconds of the whole step: with clipping, optimiser and averaged weights.
     pub step_seconds: f64,
     /// Seconds of loading a step's data, which happens during the step before.
     pub load_seconds: f64,
@@ -105,34 +107,38 @@ fn measure<R: Recipe>(stage: PreparedStage<R>, devices: &DeviceSet) -> Result<St
     let schedule = RiseAndFall::new(steering.clone(), steps_per_epoch);
     let mut learner = Learner::new(trainee, optimizer, schedule);
     let batch = (steering.batch / devices.len()).min(items).max(1);
-    let mut least = [f64::INFINITY; 2];
+    let mut least = [f64::INFINITY; 3];
     for _ in 0..ROUNDS {
-        let [stepping, loading] = time_step(&mut learner, &*recipe, batch, steering.micro_batch)?;
+        let seconds = time_step(&mut learner, &*recipe, batch, steering.micro_batch)?;
         if let Some(error) = failure.take() {
             return Err(error);
         }
-        least = [least[0].min(stepping), least[1].min(loading)];
+        for (least, seconds) in least.iter_mut().zip(seconds) {
+            *least = least.min(seconds);
+        }
     }
-    let [step_seconds, load_seconds] = least;
+    let [pass_seconds, step_seconds, load_seconds] = least;
     Ok(StagePlan {
         stage: R::STAGE.to_owned(),
         parameters,
         items,
         epochs: steering.epochs,
         steps: u64::from(steering.epochs) * steps_per_epoch,
+        pass_seconds,
         step_seconds,
         load_seconds,
         peak_mib: peak_mib(),
     })
 }
 
-/// Seconds of a step with data that is loaded beforehand, and of loading its data.
+/// Seconds of the passes of a step with data that is loaded beforehand, of the whole step, and of
+/// loading its data.
 fn time_step<R: Recipe>(
     learner: &mut Learner<TraineeOf<R>>,
     recipe: &R,
     batch: usize,
     micro_batch: usize,
-) -> Result<[f64; 2]> {
+) -> Result<[f64; 3]> {
     let started = Instant::now();
     let items: Vec<usize> = (0..batch).collect();
     let mut passes = Vec::new();
@@ -162,9 +168,14 @@ fn time_step<R: Recipe>(
             ));
         }
     }
+    let synced = device_of(&learner.model().network).sync();
+    synced.map_err(|source| {
+        Error::training(source.to_string(), "try a smaller batch or another device")
+    })?;
+    let passing = started.elapsed().as_secs_f64();
     learner.lr_step();
     learner.optimizer_step(accumulator.grads());
-    Ok([started.elapsed().as_secs_f64(), loading])
+    Ok([passing, started.elapsed().as_secs_f64(), loading])
 }
 
 /// Lets the system count the peak anew, where it can (Linux).
@@ -187,12 +198,13 @@ impl fmt::Display for TrainPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "{:<12}{:>12}{:>9}{:>8}{:>9}{:>10}{:>10}{:>10}{:>10}",
+            "{:<12}{:>12}{:>9}{:>8}{:>9}{:>10}{:>10}{:>10}{:>10}{:>10}",
             "network",
             "parameters",
             "items",
             "epochs",
             "steps",
+            "passes s",
             "step s",
             "load s",
             "minutes",
@@ -202,12 +214,13 @@ impl fmt::Display for TrainPlan {
             let peak = stage.peak_mib.map_or("?".to_owned(), |mib| mib.to_string());
             writeln!(
                 f,
-                "{:<12}{:>12}{:>9}{:>8}{:>9}{:>10.3}{:>10.3}{:>10.1}{:>10}",
+                "{:<12}{:>12}{:>9}{:>8}{:>9}{:>10.3}{:>10.3}{:>10.3}{:>10.1}{:>10}",
                 stage.stage,
                 stage.parameters,
                 stage.items,
                 stage.epochs,
                 stage.steps,
+                stage.pass_seconds,
                 stage.step_seconds,
                 stage.load_seconds,
                 stage.seconds() / 60.0,
@@ -216,8 +229,8 @@ impl fmt::Display for TrainPlan {
         }
         write!(
             f,
-            "\nMeasured on three steps of each network. Loading overlaps the step; validation is not \
-             in the minutes.\nNothing was trained."
+            "\nMeasured on three steps of each network; passes are forward and backward alone. Loading \
+             overlaps the step; validation is not in the minutes.\nNothing was trained."
         )
     }
 }

@@ -8,21 +8,6 @@ use super::{Workplace, with_dataset};
 
 const TOKEN: (&str, &str) = ("TWINSIGHT_TOKEN", "a-token-of-the-tests");
 
-/// One epoch of both networks, without anything random on the device.
-const ONE_EPOCH: &str = "
-[detector]
-scale = \"n\"
-image_size = 64
-epochs = 1
-batch = 4
-micro_batch = 4
-[distance]
-composite = \"324x162\"
-epochs = 1
-batch = 4
-micro_batch = 4
-";
-
 /// A worker that ends with the test.
 struct Serving {
     process: Child,
@@ -72,8 +57,7 @@ fn losses(place: &Workplace, run: &str) -> Vec<f64> {
 #[test]
 fn training_on_a_worker_is_training_here() {
     let place = with_dataset();
-    place.write("one.toml", ONE_EPOCH);
-    let train = "train --config one.toml --data data";
+    let train = "train --config training.toml --data data";
     place.line(&format!("{train} --run start")).success();
     // First weights are drawn on the device, so both go on from the same ones.
     let from = format!(

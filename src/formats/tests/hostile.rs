@@ -51,7 +51,7 @@ fn a_damaged_frame_of_kitti_is_left_out_with_its_reason() {
         ("calibration: cannot read", |p| {
             fs::remove_file(p.path("kitti/training/calib/000001.txt")).unwrap();
         }),
-        ("has no P3", |p| {
+        ("P3: is missing", |p| {
             p.write(
                 "kitti/training/calib/000001.txt",
                 &CALIBRATION.replace("P3", "P1"),

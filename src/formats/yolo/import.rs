@@ -14,7 +14,7 @@ use super::super::{ClassMap, is_image};
 use super::label::YoloLabel;
 use super::{DataYaml, Names, Places};
 use crate::dataset::{BoxKind, Problem, Split};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, yaml_problem};
 use crate::files;
 use crate::geometry::StereoRig;
 use crate::progress::Progress;
@@ -130,13 +130,9 @@ fn yaml_path(source: &Path) -> Result<PathBuf> {
 fn read_yaml(path: &Path) -> Result<DataYaml> {
     let text = files::read_text(path)?;
     let yaml: DataYaml = serde_saphyr::from_str(&text).map_err(|error| {
-        let text = error.to_string();
         Error::dataset(
             path,
-            format!(
-                "is no data.yaml: {}",
-                text.lines().next().unwrap_or_default()
-            ),
+            format!("is no data.yaml: {}", yaml_problem(&error)),
             "it needs `names` with the classes and `train` with the folder of images",
         )
     })?;

@@ -92,7 +92,8 @@ impl DistanceRecipe {
         mut random: Option<Pcg64>,
         planes: &mut [f32],
     ) -> Result<Reading> {
-        let images = self.frames.load(&vehicle.frame, &self.rig)?;
+        let frame = &vehicle.frame;
+        let images = self.frames.get(frame.row.stamp, || frame.load(&self.rig))?;
         let mut boxes = vehicle.boxes();
         // The detector's boxes have its errors already.
         if let Some(random) = &mut random
