@@ -181,10 +181,11 @@ impl PredictArgs {
         }
     }
 
-    /// The ranger on the rig of the images, and what rectifies them.
+    /// The ranger for images of this size, and what rectifies them. The calibration is looked at
+    /// before the networks are loaded.
     fn on_rig(
         &self,
-        ranger: StereoRanger,
+        load: impl FnOnce() -> Result<StereoRanger>,
         calibration: Option<&StereoCalibration>,
         size: (u32, u32),
         quiet: bool,
@@ -192,10 +193,10 @@ impl PredictArgs {
         let calibrated = calibration
             .map(|calibration| self.calibration.rig(calibration, size))
             .transpose()?;
-        let ranger = match &calibrated {
-            Some(calibrated) => ranger.with_rig(*calibrated.rig()),
-            None => ranger,
-        };
+        let mut ranger = load()?;
+        if let Some(calibrated) = &calibrated {
+            ranger = ranger.with_rig(*calibrated.rig());
+        }
         if !quiet {
             say_notes(&ranger, size, calibrated.as_ref());
         }
@@ -217,7 +218,7 @@ impl PredictArgs {
         let calibration = self.calibration.load()?;
         let mut images = frame.images?;
         let size = images[0].dimensions();
-        let (ranger, calibrated) = self.on_rig(load()?, calibration.as_ref(), size, quiet)?;
+        let (ranger, calibrated) = self.on_rig(load, calibration.as_ref(), size, quiet)?;
         if let Some(calibrated) = &calibrated {
             images = calibrated.rectify(images)?;
         }
@@ -239,7 +240,6 @@ impl PredictArgs {
         let batch = usize::from(self.batch);
         let (len, rate_hz) = (source.len(), source.rate_hz());
         let calibration = self.calibration.load()?;
-        let mut ranger = load()?;
         let mut frames = source.read_ahead(2 * batch)?;
         // The first usable frame tells the size of all, and with it the rig.
         let mut first = Vec::new();
@@ -257,10 +257,10 @@ impl PredictArgs {
                 break size;
             }
         };
-        let mut calibrated = None;
-        if let Some(size) = size {
-            (ranger, calibrated) = self.on_rig(ranger, calibration.as_ref(), size, quiet)?;
-        }
+        let (ranger, calibrated) = match size {
+            Some(size) => self.on_rig(load, calibration.as_ref(), size, quiet)?,
+            None => (load()?, None),
+        };
         let frames = first
             .into_iter()
             .chain(frames)
