@@ -13,7 +13,7 @@ use burn_dataset::transform::ShuffledDataset;
 use burn_dataset::{Dataset as _, DatasetError, InMemDataset};
 
 use super::stage::{Recipe, Steering};
-use crate::error::Result;
+use super::trainee::Failure;
 
 /// Passes that wait for their step, at most.
 const LOADED_AHEAD: usize = 1;
@@ -55,11 +55,19 @@ pub struct PassLoader<R> {
     epoch: AtomicU32,
     /// Number of this part and of all parts.
     part: [usize; 2],
+    /// Where errors go.
+    failure: Failure,
 }
 
 impl<R: Recipe> PassLoader<R> {
     /// A loader that goes on after so many epochs.
-    pub fn new(recipe: Arc<R>, steering: &Steering, devices: usize, finished_epochs: u32) -> Self {
+    pub fn new(
+        recipe: Arc<R>,
+        steering: &Steering,
+        devices: usize,
+        finished_epochs: u32,
+        failure: Failure,
+    ) -> Self {
         Self {
             recipe,
             seed: steering.seed,
@@ -68,6 +76,7 @@ impl<R: Recipe> PassLoader<R> {
             devices,
             epoch: AtomicU32::new(finished_epochs),
             part: [0, 1],
+            failure,
         }
     }
 
@@ -80,44 +89,55 @@ impl<R: Recipe> PassLoader<R> {
             devices: self.devices,
             epoch: AtomicU32::new(self.epoch.load(Ordering::Relaxed)),
             part,
+            failure: self.failure.clone(),
         }
     }
+}
 
-    /// The passes of an epoch: items and share of the step.
-    fn passes(&self, epoch: u32) -> Vec<(Vec<usize>, f64)> {
-        let order = shuffled(self.recipe.items(), self.seed, epoch);
-        let [number, parts] = self.part;
-        let mut passes = Vec::new();
-        for batch in order.chunks(self.batch) {
-            // Equal parts: see `steps_per_epoch`.
-            let each = batch.len() / parts;
-            let own = &batch[number * each..(number + 1) * each];
-            for items in own.chunks(self.micro_batch) {
-                let share = items.len() as f64 / (each * parts) as f64;
-                passes.push((items.to_vec(), share));
-            }
+/// The passes of one part of the devices over an epoch's items: items and share of the step.
+fn passes(
+    order: &[usize],
+    batch: usize,
+    micro_batch: usize,
+    [number, parts]: [usize; 2],
+) -> Vec<(Vec<usize>, f64)> {
+    let mut passes = Vec::new();
+    for batch in order.chunks(batch) {
+        // Equal parts: see `steps_per_epoch`.
+        let each = batch.len() / parts;
+        let own = &batch[number * each..(number + 1) * each];
+        for items in own.chunks(micro_batch) {
+            let share = items.len() as f64 / (each * parts) as f64;
+            passes.push((items.to_vec(), share));
         }
-        passes
     }
+    passes
 }
 
 impl<R: Recipe> DataLoader<Pass<R::Batch>> for PassLoader<R> {
     fn iter<'a>(&'a self) -> Box<dyn DataLoaderIterator<Pass<R::Batch>> + 'a> {
         let epoch = self.epoch.fetch_add(1, Ordering::Relaxed);
-        let passes = self.passes(epoch);
+        let order = shuffled(self.recipe.items(), self.seed, epoch);
+        let passes = passes(&order, self.batch, self.micro_batch, self.part);
         let total = passes.iter().map(|(items, _)| items.len()).sum();
         let epoch_started = Instant::now();
         let (sender, receiver) = sync_channel(LOADED_AHEAD);
         let recipe = Arc::clone(&self.recipe);
+        let failure = self.failure.clone();
         let thread = std::thread::spawn(move || {
             for (items, share) in passes {
-                let pass = recipe.load(epoch, &items).map(|batch| Pass {
+                let batch = match recipe.load(epoch, &items) {
+                    Ok(batch) => batch,
+                    // Ends the epoch early, and with it the training.
+                    Err(error) => return failure.set(error),
+                };
+                let pass = Pass {
                     batch,
                     items,
                     share,
                     epoch,
                     epoch_started,
-                });
+                };
                 if sender.send(pass).is_err() {
                     return;
                 }
@@ -149,7 +169,7 @@ impl<R: Recipe> DataLoader<Pass<R::Batch>> for PassLoader<R> {
 
 /// Passes as they are loaded.
 struct Passes<B> {
-    receiver: Option<Receiver<Result<Pass<B>>>>,
+    receiver: Option<Receiver<Pass<B>>>,
     thread: Option<JoinHandle<()>>,
     processed: usize,
     total: usize,
@@ -160,10 +180,8 @@ impl<B> Iterator for Passes<B> {
 
     fn next(&mut self) -> Option<Self::Item> {
         let pass = self.receiver.as_ref()?.recv().ok()?;
-        if let Ok(pass) = &pass {
-            self.processed += pass.items.len();
-        }
-        Some(pass.map_err(DatasetError::new))
+        self.processed += pass.items.len();
+        Some(Ok(pass))
     }
 }
 
@@ -287,4 +305,60 @@ fn shuffled(items: usize, seed: u64, epoch: u32) -> Vec<usize> {
     (0..order.len())
         .filter_map(|index| order.get(index).ok())
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn devices_share_every_batch_evenly_and_see_each_item_once() {
+        let order = shuffled(23, 7, 3);
+        for parts in [1, 2, 4] {
+            let own: Vec<_> = (0..parts)
+                .map(|number| passes(&order, 8, 2, [number, parts]))
+                .collect();
+            let mut seen: Vec<usize> = own
+                .iter()
+                .flatten()
+                .flat_map(|(items, _)| items.clone())
+                .collect();
+            seen.sort_unstable();
+            seen.dedup();
+            // 23 items are two batches of 8 and one of 7.
+            assert_eq!(seen.len(), 16 + 7 / parts * parts, "{parts} devices");
+            assert!(own.iter().all(|passes| passes.len() == own[0].len()));
+            let shares: f64 = own.iter().flatten().map(|(_, share)| share).sum();
+            assert!((shares - steps_per_epoch(23, 8, parts) as f64).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn an_epoch_too_short_for_all_devices_leaves_its_last_items_out() {
+        assert_eq!(steps_per_epoch(17, 8, 1), 3);
+        assert_eq!(steps_per_epoch(17, 8, 2), 2);
+        let order = shuffled(17, 1, 0);
+        assert_eq!(passes(&order, 8, 8, [1, 2]).len(), 2);
+    }
+
+    #[test]
+    fn the_order_is_another_in_every_epoch_and_the_same_again_for_a_seed() {
+        assert_eq!(shuffled(50, 1, 2), shuffled(50, 1, 2));
+        assert_ne!(shuffled(50, 1, 2), shuffled(50, 1, 3));
+        assert_ne!(shuffled(50, 1, 2), shuffled(50, 2, 2));
+    }
+
+    #[test]
+    fn validation_comes_in_its_epochs_and_in_the_last_one() {
+        let steering = Steering {
+            epochs: 5,
+            validate_every: 2,
+            ..Steering::example()
+        };
+        let loader = CheckLoader::new(5, 2, &steering, 0);
+        let counts: Vec<usize> = (0..5).map(|_| loader.iter().count()).collect();
+        assert_eq!(counts, [0, 3, 0, 3, 3]);
+        let resumed = CheckLoader::new(5, 2, &steering, 3);
+        assert_eq!(resumed.iter().count(), 3);
+    }
 }

@@ -417,6 +417,7 @@ impl<R: Recipe> Launch<R> {
             steering,
             devices.len(),
             self.finished,
+            self.failure.clone(),
         );
         let checks = CheckLoader::new(
             self.recipe.checks(),

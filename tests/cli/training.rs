@@ -296,3 +296,14 @@ fn the_distance_network_can_be_trained_on_the_boxes_of_its_own_detector() {
         .line(&format!("{line} --resume"))
         .error_says(&["settings"]);
 }
+
+#[test]
+fn a_loss_that_is_no_number_stops_the_run_and_names_the_files() {
+    let place = with_settings();
+    let settings = THREE_EPOCHS.replace("ema_decay = 0.9", "ema_decay = 0.9\nlearning_rate = 1.0");
+    place.write("steep.toml", settings.replace("epochs = 3", "epochs = 40"));
+    place
+        .line("train distance --config steep.toml --data data --run r")
+        .error_says(&["the distance loss is", "in epoch", "left_000", "learning rate"]);
+    assert!(!place.path("r/summary.json").exists());
+}
