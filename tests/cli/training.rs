@@ -304,6 +304,11 @@ fn a_loss_that_is_no_number_stops_the_run_and_names_the_files() {
     place.write("steep.toml", settings.replace("epochs = 3", "epochs = 40"));
     place
         .line("train distance --config steep.toml --data data --run r")
-        .error_says(&["the distance loss is", "in epoch", "left_000", "learning rate"]);
+        .error_says(&[
+            "the distance loss is",
+            "in epoch",
+            "left_000",
+            "learning rate",
+        ]);
     assert!(!place.path("r/summary.json").exists());
 }
