@@ -84,7 +84,7 @@ fn the_distance_networks_adam_takes_the_reference_steps() {
 fn the_detectors_adam_takes_the_reference_steps_with_weight_decay() {
     check_optimizer(
         "adam_ultra",
-        detector_optimizer(OptimizerKind::Adam, 5e-4).unwrap(),
+        detector_optimizer(OptimizerKind::Adam, 5e-4, None).unwrap(),
     );
 }
 

@@ -50,7 +50,7 @@ impl Step {
     fn detector() -> Result<Self> {
         let settings = TrainConfig::preset("quick")?.detector;
         Ok(Self {
-            optimizer: detector_optimizer(settings.optimizer, settings.weight_decay)?,
+            optimizer: detector_optimizer(settings.optimizer, settings.weight_decay, None)?,
             clip_norm: Some(settings.clip_norm),
             average: Some(AverageRule {
                 longest: settings.ema_decay,

@@ -63,6 +63,13 @@ pub struct DetectorTraining {
     pub schedule: Schedule,
     /// Epochs over which the learning rate rises.
     pub warmup_epochs: f64,
+    /// Learning rate from which that of the biases, normalisation's too, comes to the others' over
+    /// the warm-up; 0 lets it rise as they do.
+    #[serde(default)]
+    pub warmup_bias_rate: f64,
+    /// Momentum from which it rises over the warm-up; `sgd` alone.
+    #[serde(default = "default_warmup_momentum")]
+    pub warmup_momentum: f64,
     /// L2 penalty on convolution weights.
     pub weight_decay: f64,
     /// Gradients longer than this are scaled down, as one vector over all parameters.
@@ -180,6 +187,10 @@ pub struct DistanceTraining {
     pub freeze: Vec<String>,
 }
 
+fn default_warmup_momentum() -> f64 {
+    0.8
+}
+
 impl TrainConfig {
     /// The settings of a preset: `quick` or `paper`.
     ///
@@ -254,6 +265,16 @@ impl TrainConfig {
                 share.clone(),
             ),
             ("detector.warmup_epochs", detector.warmup_epochs, 0.0..=1e6),
+            (
+                "detector.warmup_bias_rate",
+                detector.warmup_bias_rate,
+                share.clone(),
+            ),
+            (
+                "detector.warmup_momentum",
+                detector.warmup_momentum,
+                share.clone(),
+            ),
             (
                 "detector.weight_decay",
                 detector.weight_decay,

@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
+use burn::optim::ModuleOptimizer;
 use burn::tensor::{Device, Tensor, TensorData};
 use burn_dataset::Dataset as _;
 use image::RgbImage;
@@ -14,7 +15,7 @@ use rayon::prelude::*;
 use super::augment::{DetectionAugment, Scene, augmented_letterbox, augmented_mosaic};
 use super::config::{DetectorMerit, DetectorTraining, TrainConfig};
 use super::log::EpochRow;
-use super::optimizer::{AverageRule, detector_optimizer, freeze};
+use super::optimizer::{AverageRule, MomentumWarmup, detector_optimizer, freeze};
 use super::stage::{PassLoss, PreparedStage, Recipe, Steering, device_of};
 use crate::annotate::{Annotation, annotate_pair};
 use crate::dataset::{DetectionItem, DetectionSource, Split, StereoDataset};
@@ -109,11 +110,9 @@ impl DetectorRecipe {
         progress: &dyn Progress,
     ) -> Result<PreparedStage<Self>> {
         let recipe = Self::new(config, dataset, device)?;
-        let settings = &recipe.settings;
         Ok(PreparedStage {
             steering: recipe.steering(),
             network: recipe.model(progress)?,
-            optimizer: detector_optimizer(settings.optimizer, settings.weight_decay)?,
             recipe: Arc::new(recipe),
         })
     }
@@ -161,6 +160,7 @@ impl DetectorRecipe {
             final_learning_rate: settings.final_learning_rate,
             schedule: settings.schedule,
             warmup_epochs: settings.warmup_epochs,
+            first_bias_rate: settings.warmup_bias_rate,
             clip_norm: Some(settings.clip_norm),
             average: Some(AverageRule {
                 longest: settings.ema_decay,
@@ -310,6 +310,15 @@ impl Recipe for DetectorRecipe {
             total: loss.total,
             terms: Tensor::cat(loss.items.to_vec(), 0),
         })
+    }
+
+    fn optimizer(&self, warmup_steps: f64) -> Result<ModuleOptimizer> {
+        let settings = &self.settings;
+        let warmup = MomentumWarmup {
+            first: settings.warmup_momentum,
+            steps: warmup_steps,
+        };
+        detector_optimizer(settings.optimizer, settings.weight_decay, Some(warmup))
     }
 
     fn checks(&self) -> usize {

@@ -8,6 +8,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use burn::module::Module as _;
+use burn::optim::ModuleOptimizer;
 use burn::tensor::{Device, Tensor, TensorData};
 use image::{Rgb, RgbImage};
 
@@ -164,7 +165,6 @@ impl DistanceRecipe {
         Ok(PreparedStage {
             steering: recipe.steering(),
             network: recipe.model(progress)?,
-            optimizer: distance_optimizer(recipe.settings.optimizer),
             recipe: Arc::new(recipe),
         })
     }
@@ -277,6 +277,7 @@ impl DistanceRecipe {
             final_learning_rate: settings.final_learning_rate,
             schedule: settings.schedule,
             warmup_epochs: settings.warmup_epochs,
+            first_bias_rate: 0.0,
             clip_norm: None,
             average: (settings.ema_decay > 0.0)
                 .then_some(AverageRule {
@@ -407,6 +408,10 @@ impl Recipe for DistanceRecipe {
             total: loss.clone().mul_scalar(share),
             terms: loss,
         })
+    }
+
+    fn optimizer(&self, _: f64) -> Result<ModuleOptimizer> {
+        Ok(distance_optimizer(self.settings.optimizer))
     }
 
     fn checks(&self) -> usize {

@@ -18,6 +18,7 @@ mod reporting;
 mod run;
 mod running;
 mod schedule;
+mod sgd;
 mod stage;
 mod trainee;
 

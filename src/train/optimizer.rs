@@ -2,11 +2,12 @@
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param, ParamGroup};
 use burn::optim::decay::WeightDecayConfig;
-use burn::optim::momentum::MomentumConfig;
-use burn::optim::{AdamConfig, AdamWConfig, GradientsParams, ModuleOptimizer, SgdConfig};
+use burn::optim::{AdamConfig, AdamWConfig, GradientsParams, ModuleOptimizer};
 use burn::tensor::Tensor;
 
 use super::config::{OptimizerKind, Schedule};
+pub use super::sgd::MomentumWarmup;
+use super::sgd::WarmedSgd;
 use crate::error::{Error, Result};
 
 /// Adam's guard against division by zero.
@@ -17,49 +18,71 @@ const DETECTOR_MOMENTUM: f64 = 0.937;
 /// The usual one, with which the paper's network is trained.
 const DISTANCE_MOMENTUM: f64 = 0.9;
 
-/// The detector's optimiser: moments decay at 0.937 and 0.999 (Adam), the momentum is 0.937 (SGD),
-/// and weight decay reaches convolution weights, not normalisation and biases.
+/// The detector's optimiser: moments decay at 0.937 and 0.999 (Adam), the momentum is 0.937 (SGD)
+/// after its warm-up, and weight decay reaches convolution weights, not normalisation and biases.
 ///
 /// # Errors
 /// Never in practice: the group's pattern is constant.
-pub fn detector_optimizer(kind: OptimizerKind, weight_decay: f64) -> Result<ModuleOptimizer> {
-    let plain = ParamGroup::from_regex(r"(gamma|beta|bias)$").map_err(|source| {
-        Error::training(
-            format!("the parameter groups do not compile: {source:?}"),
-            "report this as a defect",
-        )
-    })?;
-    let optimizer = optimizer(kind, DETECTOR_MOMENTUM, weight_decay);
+pub fn detector_optimizer(
+    kind: OptimizerKind,
+    weight_decay: f64,
+    warmup: Option<MomentumWarmup>,
+) -> Result<ModuleOptimizer> {
+    let plain = parameter_group("(gamma|beta|bias)$")?;
+    let momentum = DETECTOR_MOMENTUM;
     Ok(match kind {
-        OptimizerKind::Adam => optimizer.with_group(plain, adam(DETECTOR_MOMENTUM).build(), None),
-        OptimizerKind::AdamW => {
-            optimizer.with_group(plain, adam_w(DETECTOR_MOMENTUM, 0.0).build(), None)
+        OptimizerKind::Adam => {
+            adam(momentum, weight_decay)
+                .init()
+                .with_group(plain, adam(momentum, 0.0).build(), None)
         }
-        OptimizerKind::Sgd => optimizer.with_group(plain, sgd(DETECTOR_MOMENTUM).build(), None),
+        OptimizerKind::AdamW => adam_w(momentum, weight_decay).init().with_group(
+            plain,
+            adam_w(momentum, 0.0).build(),
+            None,
+        ),
+        OptimizerKind::Sgd => {
+            let sgd = |decay| WarmedSgd::new(momentum, warmup, decay);
+            let decay = decay(weight_decay);
+            ModuleOptimizer::from(sgd(decay.as_ref())).with_group(plain, sgd(None), None)
+        }
     })
 }
 
 /// The distance network's optimiser: moments decay at 0.9 and 0.999 as in the paper (Adam), the
 /// momentum is 0.9 (SGD), and nothing decays the weights.
 pub fn distance_optimizer(kind: OptimizerKind) -> ModuleOptimizer {
-    optimizer(kind, DISTANCE_MOMENTUM, 0.0)
-}
-
-fn optimizer(kind: OptimizerKind, momentum: f64, weight_decay: f64) -> ModuleOptimizer {
-    // Decay that is not there costs nothing, and adds nothing to a gradient.
-    let decay = (weight_decay > 0.0).then(|| WeightDecayConfig::new(weight_decay as f32));
     match kind {
-        OptimizerKind::Adam => adam(momentum).with_weight_decay(decay).init(),
-        OptimizerKind::AdamW => adam_w(momentum, weight_decay).init(),
-        OptimizerKind::Sgd => sgd(momentum).with_weight_decay(decay).init(),
+        OptimizerKind::Adam => adam(DISTANCE_MOMENTUM, 0.0).init(),
+        OptimizerKind::AdamW => adam_w(DISTANCE_MOMENTUM, 0.0).init(),
+        OptimizerKind::Sgd => WarmedSgd::new(DISTANCE_MOMENTUM, None, None).into(),
     }
 }
 
-fn adam(momentum: f64) -> AdamConfig {
+/// The parameters whose paths fit a pattern.
+///
+/// # Errors
+/// A pattern that does not compile.
+pub fn parameter_group(pattern: &str) -> Result<ParamGroup> {
+    ParamGroup::from_regex(pattern).map_err(|source| {
+        Error::training(
+            format!("the parameter groups do not compile: {source:?}"),
+            "report this as a defect",
+        )
+    })
+}
+
+/// Decay that is not there costs nothing, and adds nothing to a gradient.
+fn decay(weight_decay: f64) -> Option<WeightDecayConfig> {
+    (weight_decay > 0.0).then(|| WeightDecayConfig::new(weight_decay as f32))
+}
+
+fn adam(momentum: f64, weight_decay: f64) -> AdamConfig {
     AdamConfig::new()
         .with_beta_1(momentum as f32)
         .with_beta_2(0.999)
         .with_epsilon(ADAM_EPSILON)
+        .with_weight_decay(decay(weight_decay))
 }
 
 fn adam_w(momentum: f64, weight_decay: f64) -> AdamWConfig {
@@ -68,15 +91,6 @@ fn adam_w(momentum: f64, weight_decay: f64) -> AdamWConfig {
         .with_beta_2(0.999)
         .with_epsilon(ADAM_EPSILON)
         .with_weight_decay(weight_decay as f32)
-}
-
-/// With Nesterov's momentum and without the dampening that Burn adds.
-fn sgd(momentum: f64) -> SgdConfig {
-    SgdConfig::new().with_momentum(Some(MomentumConfig {
-        momentum,
-        dampening: 0.0,
-        nesterov: true,
-    }))
 }
 
 /// Freezes every parameter whose module path starts with one of the names, running statistics

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use burn::module::{Module, ModuleDisplay, ModuleVisitor, Param};
 use burn::optim::ModuleOptimizer;
+use burn::optim::lr_scheduler::module_lr_scheduler::ModuleLrScheduler;
 use burn::tensor::{Device, Tensor};
 use burn::train::{Learner, SupervisedTraining};
 use image::RgbImage;
@@ -23,7 +24,7 @@ use super::log::{EpochRow, SharedLog};
 use super::metrics::{Showcase, TrainingMetric, ValidationMetric};
 use super::optimizer::AverageRule;
 use super::reporting::{MetricsLog, ProgressRenderer, Report};
-use super::schedule::RiseAndFall;
+use super::schedule::schedule;
 use super::trainee::{Failure, Trainee, TraineeOf};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
@@ -52,6 +53,8 @@ pub struct Steering {
     pub schedule: Schedule,
     /// Epochs over which it rises.
     pub warmup_epochs: f64,
+    /// Learning rate from which that of the biases comes to the others'; 0 rises with them.
+    pub first_bias_rate: f64,
     /// Longest global gradient norm, if limited.
     pub clip_norm: Option<f64>,
     /// How averaged weights follow, if averaged.
@@ -79,6 +82,7 @@ impl Steering {
             final_learning_rate: 0.1,
             schedule: Schedule::Cosine,
             warmup_epochs: 2.0,
+            first_bias_rate: 0.0,
             clip_norm: None,
             average: None,
             validate_every: 2,
@@ -86,6 +90,11 @@ impl Steering {
             keep_last: 0,
             settings: String::new(),
         }
+    }
+
+    /// Steps over which the learning rate rises.
+    pub fn warmup_steps(&self, steps_per_epoch: u64) -> f64 {
+        self.warmup_epochs * steps_per_epoch as f64
     }
 
     /// Epochs without a better result after so many epochs, when they are too many.
@@ -170,6 +179,12 @@ pub trait Recipe: Send + Sync + 'static {
     /// Adds what was found on more items.
     fn merge(findings: &mut Self::Findings, more: &Self::Findings);
 
+    /// What turns gradients into steps, the first so many of them warming up.
+    ///
+    /// # Errors
+    /// Never in practice.
+    fn optimizer(&self, warmup_steps: f64) -> Result<ModuleOptimizer>;
+
     /// The numbers of [`Recipe::SCORES`]; none where nothing was examined.
     fn scores(findings: &Self::Findings) -> Option<Vec<f64>>;
 
@@ -215,8 +230,6 @@ pub struct PreparedStage<R: Recipe> {
     pub steering: Steering,
     /// The network to start from.
     pub network: R::Model,
-    /// What turns its gradients into steps.
-    pub optimizer: ModuleOptimizer,
 }
 
 /// What a finished stage reports.
@@ -271,7 +284,7 @@ pub fn run_stage<R: Recipe>(prepared: PreparedStage<R>, place: &StagePlace) -> R
     let finished = state.epoch;
     let in_vain = steering.epochs_in_vain(finished, state.best).is_some();
     let best = if finished < steering.epochs && !in_vain {
-        Launch::new(prepared, &state, place).run(place)?
+        Launch::new(prepared, &state, place)?.run(place)?
     } else {
         state.best
     };
@@ -302,6 +315,7 @@ struct Launch<R: Recipe> {
     steering: Steering,
     trainee: TraineeOf<R>,
     optimizer: ModuleOptimizer,
+    schedule: ModuleLrScheduler,
     saver: Arc<StageSaver<R>>,
     failure: Failure,
     finished: u32,
@@ -310,12 +324,11 @@ struct Launch<R: Recipe> {
 }
 
 impl<R: Recipe> Launch<R> {
-    fn new(prepared: PreparedStage<R>, state: &StageState, place: &StagePlace) -> Self {
+    fn new(prepared: PreparedStage<R>, state: &StageState, place: &StagePlace) -> Result<Self> {
         let PreparedStage {
             recipe,
             steering,
             network,
-            optimizer,
         } = prepared;
         let devices = place.devices.len();
         let steps_per_epoch = steps_per_epoch(recipe.items(), steering.batch, devices);
@@ -335,17 +348,18 @@ impl<R: Recipe> Launch<R> {
             &trainee,
             state,
         );
-        Self {
+        Ok(Self {
+            optimizer: recipe.optimizer(steering.warmup_steps(steps_per_epoch))?,
+            schedule: schedule(&steering, steps_per_epoch)?,
             recipe,
             steering,
             trainee,
-            optimizer,
             saver: Arc::new(saver),
             failure,
             finished: state.epoch,
             step: state.step,
             steps_per_epoch,
-        }
+        })
     }
 
     /// Runs burn-train's loop on a thread of its own and tells the caller how it goes.
@@ -451,8 +465,8 @@ impl<R: Recipe> Launch<R> {
         if self.finished > 0 {
             training = training.checkpoint(self.finished as usize);
         }
-        let schedule = RiseAndFall::new(steering.clone(), self.steps_per_epoch);
-        let result = training.launch(Learner::new(self.trainee, self.optimizer, schedule));
+        let learner = Learner::new(self.trainee, self.optimizer, self.schedule);
+        let result = training.launch(learner);
         result.error.map(|error| error.to_string())
     }
 }

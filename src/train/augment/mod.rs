@@ -1,14 +1,24 @@
 //! Random changes of training images, drawn from a generator that the caller seeds per image.
 
+#![allow(
+    clippy::inline_always,
+    reason = "code compiled for a vector width must be inlined into the function that enables it"
+)]
+
+mod color;
+mod tile;
+
 use image::RgbImage;
 use rand::RngExt as _;
 use rand_pcg::Pcg64;
 
+use self::color::Recolor;
+use self::tile::{Columns, Row, Tile};
 use crate::detector::assign::Target;
 use crate::detector::loss::ImageTargets;
 use crate::error::Result;
 use crate::geometry::PixelBox;
-use crate::geometry::letterbox::{Enlarging, Frame, Letterbox, PADDING_GREY, Size};
+use crate::geometry::letterbox::{PADDING_GREY, Size};
 
 /// Boxes that shrink below this in either direction are dropped, pixels.
 const LEAST_SIDE_PX: f64 = 2.0;
@@ -16,8 +26,6 @@ const LEAST_SIDE_PX: f64 = 2.0;
 const LEAST_AREA: f64 = 0.1;
 /// Boxes that are longer than so many times their other side are dropped.
 const LARGEST_ASPECT: f64 = 100.0;
-/// What lies outside all images.
-const GREY: [f32; 3] = [PADDING_GREY as f32 / 255.0; 3];
 
 /// Strengths of the detector's augmentation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,89 +54,6 @@ pub struct Scene<'a> {
     pub boxes: &'a [(u32, PixelBox)],
     /// What may be found or not.
     pub ignored: &'a [PixelBox],
-}
-
-/// A scene laid on a canvas that is then zoomed, shifted and mirrored into the network's input.
-struct Tile<'a> {
-    scene: Scene<'a>,
-    /// Canvas pixels per image pixel.
-    scale: [f64; 2],
-    /// Where the image's first corner lies on the canvas.
-    corner: [f64; 2],
-    /// The part of the canvas that it may fill.
-    area: PixelBox,
-}
-
-impl<'a> Tile<'a> {
-    /// The plain letterbox: the canvas is the network's input.
-    fn letterboxed(scene: Scene<'a>, input: Size) -> Result<Self> {
-        let original = Size::new(scene.image.width(), scene.image.height());
-        let letterbox = Letterbox::new(original, input, Frame::Exact, Enlarging::Allowed)?;
-        Ok(Self {
-            scene,
-            scale: [
-                f64::from(letterbox.resized.width) / f64::from(original.width),
-                f64::from(letterbox.resized.height) / f64::from(original.height),
-            ],
-            corner: [f64::from(letterbox.left), f64::from(letterbox.top)],
-            area: PixelBox::new(
-                f64::NEG_INFINITY,
-                f64::NEG_INFINITY,
-                f64::INFINITY,
-                f64::INFINITY,
-            ),
-        })
-    }
-
-    /// One of the four parts of a mosaic: column and row 0 or 1, touching the centre with its
-    /// nearest corner. The canvas is twice the input and has its middle where the input's is.
-    fn of_mosaic(scene: Scene<'a>, input: Size, center: [f64; 2], part: [bool; 2]) -> Self {
-        let sides = [f64::from(input.width), f64::from(input.height)];
-        let original = [
-            f64::from(scene.image.width()),
-            f64::from(scene.image.height()),
-        ];
-        let scale = (sides[0] / original[0]).min(sides[1] / original[1]);
-        let mut corner = center;
-        let mut area = [[0.0; 2]; 2];
-        for axis in 0..2 {
-            let (start, end) = (-sides[axis] / 2.0, 1.5 * sides[axis]);
-            area[axis] = if part[axis] {
-                [center[axis], end]
-            } else {
-                corner[axis] -= scale * original[axis];
-                [start, center[axis]]
-            };
-        }
-        let [x, y] = area;
-        Self {
-            scene,
-            scale: [scale, scale],
-            corner,
-            area: PixelBox::new(x[0], y[0], x[1], y[1]),
-        }
-    }
-
-    fn image_from_canvas(&self, value: f64, axis: usize) -> f64 {
-        (value - self.corner[axis]) / self.scale[axis]
-    }
-
-    /// A box on the canvas, cut at the edges of the part that the scene may fill.
-    fn canvas_from_image(&self, area: &PixelBox) -> PixelBox {
-        let at = |value: f64, axis: usize| value * self.scale[axis] + self.corner[axis];
-        let limit = &self.area;
-        PixelBox::new(
-            at(area.x_min, 0).max(limit.x_min),
-            at(area.y_min, 1).max(limit.y_min),
-            at(area.x_max, 0).min(limit.x_max),
-            at(area.y_max, 1).min(limit.y_max),
-        )
-    }
-
-    fn is_at(&self, x: f64, y: f64) -> bool {
-        let area = &self.area;
-        x >= area.x_min && x < area.x_max && y >= area.y_min && y < area.y_max
-    }
 }
 
 /// The random change of an image: canvas to input is zoom about the centre, shift, mirror.
@@ -223,24 +148,32 @@ pub fn augmented_mosaic(
 
 /// Fills the planes from the tiles, and moves their boxes.
 fn draw(tiles: &[Tile], input: Size, change: &Change, planes: &mut [f32]) -> ImageTargets {
-    let area = input.area();
     let canvas_x: Vec<f64> = (0..input.width)
         .map(|x| change.canvas_from_input(f64::from(x) + 0.5, 0))
         .collect();
-    for y in 0..input.height {
-        let canvas_y = change.canvas_from_input(f64::from(y) + 0.5, 1);
-        let row = y as usize * input.width as usize;
-        for (x, &canvas_x) in canvas_x.iter().enumerate() {
-            let tile = tiles.iter().find(|tile| tile.is_at(canvas_x, canvas_y));
-            let color = tile.map_or(GREY, |tile| {
-                let x = tile.image_from_canvas(canvas_x, 0);
-                let y = tile.image_from_canvas(canvas_y, 1);
-                sample(tile.scene.image, x, y)
-            });
-            for (channel, value) in change_color(color, change.gains).into_iter().enumerate() {
-                planes[channel * area + row + x] = value;
-            }
-        }
+    let columns: Vec<Columns> = tiles.iter().map(|tile| tile.columns(&canvas_x)).collect();
+    let recolor = Recolor::new(change.gains);
+    let (red, rest) = planes.split_at_mut(input.area());
+    let (green, blue) = rest.split_at_mut(input.area());
+    let width = input.width as usize;
+    let rows = red
+        .chunks_exact_mut(width)
+        .zip(green.chunks_exact_mut(width))
+        .zip(blue.chunks_exact_mut(width));
+    for (y, ((red, green), blue)) in rows.enumerate() {
+        let canvas_y = change.canvas_from_input(y as f64 + 0.5, 1);
+        let images: Vec<_> = columns
+            .iter()
+            .zip(tiles)
+            .filter_map(|(columns, tile)| Some((columns, tile.rows(canvas_y)?)))
+            .collect();
+        let row = Row {
+            channels: [red, green, blue],
+            images: &images,
+            recolor,
+            grey: f32::from(PADDING_GREY),
+        };
+        row.draw();
     }
 
     let [width, height] = change.sides;
@@ -286,58 +219,6 @@ pub fn target(class: u32, b: &PixelBox) -> Target {
     }
 }
 
-/// The colour (0..1) at a point of the image, bilinear; grey outside.
-fn sample(image: &RgbImage, x: f64, y: f64) -> [f32; 3] {
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    if !(x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64) {
-        return GREY;
-    }
-    let (x, y) = ((x - 0.5).max(0.0) as f32, (y - 0.5).max(0.0) as f32);
-    let (column, row) = (x as usize, y as usize);
-    let (fx, fy) = (x - column as f32, y - row as f32);
-    let right = (column + 1).min(width - 1);
-    let below = (row + 1).min(height - 1);
-    let raw = image.as_raw();
-    let at = |column: usize, row: usize| &raw[3 * (row * width + column)..][..3];
-    let (a, b, c, d) = (
-        at(column, row),
-        at(right, row),
-        at(column, below),
-        at(right, below),
-    );
-    std::array::from_fn(|channel| {
-        let value = |pixel: &[u8]| f32::from(pixel[channel]);
-        let upper = value(a) + fx * (value(b) - value(a));
-        let lower = value(c) + fx * (value(d) - value(c));
-        (upper + fy * (lower - upper)) / 255.0
-    })
-}
-
-/// Turns the hue by a share of the circle and scales saturation and value.
-fn change_color([r, g, b]: [f32; 3], gains: [f64; 3]) -> [f32; 3] {
-    let [hue, saturation, value] = gains.map(|gain| gain as f32);
-    let largest = r.max(g).max(b);
-    let chroma = largest - r.min(g).min(b);
-    let brightness = (largest * (1.0 + value)).clamp(0.0, 1.0);
-    if chroma <= 0.0 || largest <= 0.0 {
-        return [brightness; 3];
-    }
-    let sector = if largest == r {
-        ((g - b) / chroma).rem_euclid(6.0)
-    } else if largest == g {
-        (b - r) / chroma + 2.0
-    } else {
-        (r - g) / chroma + 4.0
-    };
-    let sector = (sector + 6.0 * hue).rem_euclid(6.0);
-    let strength = (chroma / largest * (1.0 + saturation)).clamp(0.0, 1.0);
-    // The usual closed form: each channel is a clipped triangle wave of the hue.
-    [5.0, 3.0, 1.0].map(|phase: f32| {
-        let k = (phase + sector).rem_euclid(6.0);
-        brightness * (1.0 - strength * k.min(4.0 - k).clamp(0.0, 1.0))
-    })
-}
-
 /// Mirrors a composite in the form that keeps stereo true: both crops mirrored, left and right
 /// exchanged. Planes are `[3, height, width]` with one crop above the other.
 pub fn mirror_composite(planes: &mut [f32], height: usize, width: usize) {
@@ -351,6 +232,7 @@ pub fn mirror_composite(planes: &mut [f32], height: usize, width: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::letterbox::{Enlarging, Frame, Letterbox};
 
     fn still() -> DetectionAugment {
         DetectionAugment {
@@ -466,23 +348,6 @@ mod tests {
             }
         }
         assert!(seen > 20, "{seen}");
-    }
-
-    #[test]
-    fn colours_survive_a_change_of_nothing_and_a_full_turn_of_the_hue() {
-        for color in [
-            [0.1, 0.5, 0.9],
-            [0.9, 0.2, 0.2],
-            [0.3, 0.3, 0.3],
-            [0.0, 0.8, 0.1],
-        ] {
-            for hue in [0.0, 1.0] {
-                let changed = change_color(color, [hue, 0.0, 0.0]);
-                for (a, b) in changed.iter().zip(color) {
-                    assert!((a - b).abs() < 1e-5, "{changed:?} {color:?}");
-                }
-            }
-        }
     }
 
     #[test]
