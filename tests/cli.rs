@@ -515,8 +515,68 @@ fn a_run_that_exists_is_only_touched_to_resume_or_to_add_the_other_network() {
     let config = fs::read(place.path("r/config.json")).unwrap();
     place
         .line(&format!("train {settings} --resume --seed 77"))
-        .error_says(&["other settings", "config.json", "--run"]);
+        .error_says(&["other settings", "seed was 1 and is 77", "--run"]);
     assert_eq!(fs::read(place.path("r/config.json")).unwrap(), config);
+}
+
+#[test]
+fn a_run_goes_on_with_its_own_settings_and_dataset() {
+    let place = with_dataset();
+    place
+        .line("train --config training.toml --data data --run r")
+        .success();
+    let config = fs::read(place.path("r/config.json")).unwrap();
+    place.line("train --run r --resume").success();
+    assert_eq!(fs::read(place.path("r/config.json")).unwrap(), config);
+    place
+        .line("train --run r --resume --detector-epochs 77")
+        .error_says(&["detector.epochs was", "is 77"]);
+    fs::rename(place.path("data"), place.path("elsewhere")).unwrap();
+    place
+        .line("train --run r --resume")
+        .error_says(&["data", "is not there", "--data"]);
+    place
+        .line("train --run r --resume --data elsewhere")
+        .success();
+}
+
+#[test]
+fn printed_settings_are_a_configuration() {
+    let place = with_dataset();
+    let printed = place
+        .line("train --config training.toml --seed 5 --print-config")
+        .success();
+    assert!(printed.contains("[distance]"), "{printed}");
+    place.write("mine.toml", &printed);
+    let again = place
+        .line("train --config mine.toml --print-config")
+        .success();
+    assert_eq!(again, printed);
+    assert!(!place.path("checkpoints").exists());
+}
+
+#[test]
+fn labels_without_distance_are_noticed_before_anything_is_trained() {
+    let place = with_dataset();
+    for entry in fs::read_dir(place.path("data/frames")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_none_or(|extension| extension != "txt") {
+            continue;
+        }
+        let labels = fs::read_to_string(&path).unwrap();
+        let without = labels.lines().map(|line| {
+            let mut fields: Vec<&str> = line.split(' ').collect();
+            if !line.starts_with('#') {
+                fields[8] = "-";
+            }
+            fields.join(" ")
+        });
+        fs::write(&path, without.collect::<Vec<_>>().join("\n")).unwrap();
+    }
+    place
+        .line("train --config training.toml --data data --run r")
+        .error_says(&["data", "and a distance", "train detector"]);
+    assert!(!place.path("r/detector").exists());
 }
 
 #[test]

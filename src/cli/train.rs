@@ -10,7 +10,9 @@ use twinsight::detector::Scale;
 use twinsight::device::DeviceName;
 use twinsight::generate::{GenerateConfig, generate};
 use twinsight::progress::Progress;
-use twinsight::train::{Stage, StageFolder, TrainConfig, TrainRequest, TrainSummary, plan, train};
+use twinsight::train::{
+    SavedRun, Stage, StageFolder, TrainConfig, TrainRequest, TrainSummary, plan, train,
+};
 use twinsight::{Error, Result, files};
 
 use super::generate::summary as dataset_summary;
@@ -29,9 +31,9 @@ pub struct TrainArgs {
     #[arg(value_enum, default_value_t = StageName::All)]
     stage: StageName,
     /// Settings that come with the program: `quick` takes minutes on a processor, `paper` is the
-    /// paper's training, for a graphics card
-    #[arg(long, value_parser = presets::names(), default_value = presets::DEFAULT)]
-    preset: String,
+    /// paper's training, for a graphics card [default: quick]
+    #[arg(long, value_parser = presets::names())]
+    preset: Option<String>,
     /// Settings from a TOML file, over the preset; it gives only what it changes
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -43,12 +45,16 @@ pub struct TrainArgs {
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
     /// What to compute on; `twinsight devices` lists the choices. Several, separated by commas, share
-    /// every batch
-    #[arg(long, value_delimiter = ',', default_value = "flex")]
+    /// every batch [default: flex]
+    #[arg(long, value_delimiter = ',')]
     device: Vec<DeviceName>,
-    /// Go on with a run that was stopped
+    /// Go on with a run that was stopped: with its own settings, dataset and device where they are
+    /// not given
     #[arg(long)]
     resume: bool,
+    /// Train nothing: print all settings as TOML, to change and give back by --config
+    #[arg(long, conflicts_with_all = ["resume", "dry_run"])]
+    print_config: bool,
     /// Train nothing: say how many steps, how long and how much memory it would take, measured on
     /// a few steps
     #[arg(long, conflicts_with = "resume")]
@@ -111,7 +117,12 @@ Examples:
 
   Go on after Ctrl-C or a power cut:
 
-    twinsight train --preset paper --device wgpu --run checkpoints/paper-1 --resume
+    twinsight train --run checkpoints/paper-1 --resume
+
+  Settings of your own: print all of them, change some, train with those:
+
+    twinsight train --print-config > mine.toml
+    twinsight train --config mine.toml
 
   The distance network alone, on your data:
 
@@ -147,34 +158,69 @@ impl StageName {
     }
 }
 
+/// What is to be done, once everything is settled.
+struct Job {
+    config: TrainConfig,
+    data: PathBuf,
+    run: PathBuf,
+    devices: Vec<DeviceName>,
+}
+
+impl Job {
+    fn request(&self, args: &TrainArgs) -> TrainRequest<'_> {
+        TrainRequest {
+            config: &self.config,
+            data: &self.data,
+            run: &self.run,
+            stage: args.stage.stage(),
+            resume: args.resume,
+            devices: &self.devices,
+        }
+    }
+}
+
 impl TrainArgs {
     /// Trains.
     pub fn run(&self, quiet: bool) -> Result<()> {
-        let config = self.resolve()?;
-        let (data, run) = (self.data(), self.run_folder());
-        if self.dry_run {
-            return self.dry_run(quiet, &config, &data, &run);
+        let run = self.run_folder();
+        let saved = if self.resume {
+            SavedRun::read(&run)?
+        } else {
+            None
+        };
+        let config = self.resolve(saved.as_ref().map(|saved| &saved.config))?;
+        if self.print_config {
+            return print_config(&config);
         }
-        self.check(&config, &run)?;
+        let job = Job {
+            data: self.data(saved.as_ref())?,
+            devices: self.devices(saved.as_ref())?,
+            config,
+            run,
+        };
+        if self.dry_run {
+            return self.dry_run(quiet, &job);
+        }
+        self.check(&job)?;
+        let is_new = self.resume && saved.is_none();
         let summary = terminal::with_progress(quiet, |progress| {
-            if self.data.is_none() {
-                self.make_missing_data(&data, progress)?;
+            if is_new {
+                progress.note(&format!(
+                    "{} holds nothing to go on with: training it from the start",
+                    job.run.display()
+                ));
             }
-            let request = TrainRequest {
-                config: &config,
-                data: &data,
-                run: &run,
-                stage: self.stage.stage(),
-                resume: self.resume,
-                devices: &self.device,
-            };
-            train(&request, progress)
+            if self.data.is_none() && saved.is_none() {
+                self.make_missing_data(&job.data, progress)?;
+            }
+            train(&job.request(self), progress)
         })?;
-        stdout::print(&self.report(&summary, &config, &data, &run))
+        stdout::print(&self.report(&summary, &job))
     }
 
     /// Says what the training would take.
-    fn dry_run(&self, quiet: bool, config: &TrainConfig, data: &Path, run: &Path) -> Result<()> {
+    fn dry_run(&self, quiet: bool, job: &Job) -> Result<()> {
+        let data = &job.data;
         if self.data.is_none() && !data.join("dataset.toml").exists() {
             return Err(Error::dataset(
                 data,
@@ -182,27 +228,26 @@ impl TrainArgs {
                 format!(
                     "make it first: {} generate --preset {} --out {}",
                     program(),
-                    self.preset,
+                    self.preset(),
                     quoted(data)
                 ),
             ));
         }
-        let request = TrainRequest {
-            config,
-            data,
-            run,
-            stage: self.stage.stage(),
-            resume: false,
-            devices: &self.device,
-        };
-        let plan = terminal::with_progress(quiet, |progress| plan(&request, progress))?;
+        let plan = terminal::with_progress(quiet, |progress| plan(&job.request(self), progress))?;
         stdout::print(&format!("{plan}\n"))
     }
 
-    /// The settings of the preset, the file and the options together.
-    fn resolve(&self) -> Result<TrainConfig> {
-        let resolve =
-            |flags: &Table| TrainConfig::resolve(Some(&self.preset), self.config.as_deref(), flags);
+    fn preset(&self) -> &str {
+        self.preset.as_deref().unwrap_or(presets::DEFAULT)
+    }
+
+    /// The settings of the preset, or of the run that goes on, the file and the options together.
+    fn resolve(&self, saved: Option<&TrainConfig>) -> Result<TrainConfig> {
+        let file = self.config.as_deref();
+        let resolve = |flags: &Table| match saved {
+            Some(saved) if self.preset.is_none() => saved.changed(file, flags),
+            _ => TrainConfig::resolve(Some(self.preset()), file, flags),
+        };
         let mut flags = self.overrides.table(self.stage)?;
         if let Some(batch) = self.overrides.batch {
             // A forward pass cannot hold more than a batch.
@@ -225,10 +270,24 @@ impl TrainArgs {
         resolve(&flags)
     }
 
-    fn data(&self) -> PathBuf {
-        match &self.data {
-            Some(data) => data.clone(),
-            None => Path::new("datasets").join(&self.preset),
+    fn data(&self, saved: Option<&SavedRun>) -> Result<PathBuf> {
+        match (&self.data, saved) {
+            (Some(data), _) => Ok(data.clone()),
+            (None, Some(saved)) if saved.data.exists() => Ok(saved.data.clone()),
+            (None, Some(saved)) => Err(Error::dataset(
+                &saved.data,
+                "is not there, on which the run was started",
+                "give its folder by --data, or call from the folder where the run was started",
+            )),
+            (None, None) => Ok(Path::new("datasets").join(self.preset())),
+        }
+    }
+
+    fn devices(&self, saved: Option<&SavedRun>) -> Result<Vec<DeviceName>> {
+        match saved {
+            _ if !self.device.is_empty() => Ok(self.device.clone()),
+            Some(saved) => saved.devices(),
+            None => Ok(vec![DeviceName::FLEX]),
         }
     }
 
@@ -236,13 +295,14 @@ impl TrainArgs {
         match &self.run {
             Some(run) => run.clone(),
             None => {
-                Path::new("checkpoints").join(presets::title(&self.preset, self.config.as_deref()))
+                Path::new("checkpoints").join(presets::title(self.preset(), self.config.as_deref()))
             }
         }
     }
 
     /// Finds out before the long work what would stop it in the end.
-    fn check(&self, config: &TrainConfig, run: &Path) -> Result<()> {
+    fn check(&self, job: &Job) -> Result<()> {
+        let (config, run) = (&job.config, &job.run);
         for stage in self.stage.sections() {
             if !self.resume && holds_anything(&run.join(stage)) {
                 return Err(Error::value(
@@ -252,7 +312,7 @@ impl TrainArgs {
                 ));
             }
         }
-        for device in &self.device {
+        for device in &job.devices {
             device.open()?;
         }
         for weights in [&config.detector.weights, &config.distance.weights]
@@ -269,7 +329,7 @@ impl TrainArgs {
         if data.join("dataset.toml").exists() {
             return Ok(());
         }
-        let preset = &self.preset;
+        let preset = self.preset();
         progress.note(&format!(
             "there is no dataset {}: making it first, from the preset {preset}",
             data.display()
@@ -280,20 +340,17 @@ impl TrainArgs {
     }
 
     /// The figures, where things are, and what to type next.
-    fn report(
-        &self,
-        summary: &TrainSummary,
-        config: &TrainConfig,
-        data: &Path,
-        run: &Path,
-    ) -> String {
+    fn report(&self, summary: &TrainSummary, job: &Job) -> String {
+        let run = &job.run;
         let missing = StageName::All
             .sections()
             .iter()
             .find(|stage| !StageFolder::new(run, stage).best().exists());
         let next = match missing {
-            Some(stage) => self.train_command(stage, data, run),
-            None => predict_command(config, data, run),
+            // Single images show no distance.
+            Some(_) if !is_stereo(&job.data) => evaluate_command(job),
+            Some(stage) => self.train_command(stage, job),
+            None => predict_command(job),
         };
         format!(
             "{}\n\nrun folder:   {}\nTensorBoard:  tensorboard --logdir {}\nnext command: {next}\n",
@@ -304,15 +361,15 @@ impl TrainArgs {
     }
 
     /// The command that trains another stage into the same run with the settings that both share.
-    fn train_command(&self, stage: &str, data: &Path, run: &Path) -> String {
+    fn train_command(&self, stage: &str, job: &Job) -> String {
         let overrides = &self.overrides;
-        let devices: Vec<String> = self.device.iter().map(ToString::to_string).collect();
-        let devices = (self.device != [DeviceName::FLEX]).then(|| devices.join(","));
+        let devices: Vec<String> = job.devices.iter().map(ToString::to_string).collect();
+        let devices = (job.devices != [DeviceName::FLEX]).then(|| devices.join(","));
         let options = [
-            ("--preset", Some(self.preset.clone())),
+            ("--preset", Some(self.preset().to_owned())),
             ("--config", self.config.as_deref().map(quoted)),
-            ("--data", Some(quoted(data))),
-            ("--run", Some(quoted(run))),
+            ("--data", Some(quoted(&job.data))),
+            ("--run", Some(quoted(&job.run))),
             ("--device", devices),
             ("--seed", overrides.seed.map(|seed| seed.to_string())),
             (
@@ -399,12 +456,34 @@ fn holds_anything(folder: &Path) -> bool {
     fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some())
 }
 
+/// Prints settings as `--config` takes them.
+fn print_config(config: &TrainConfig) -> Result<()> {
+    let text = toml::to_string(config)
+        .map_err(|source| Error::value("the settings", source.to_string(), "report this"))?;
+    stdout::print(&text)
+}
+
 /// The command that measures the first validation frame.
-fn predict_command(config: &TrainConfig, data: &Path, run: &Path) -> String {
-    let [left, right] = first_validation_pair(config, data)
+fn predict_command(job: &Job) -> String {
+    let [left, right] = first_validation_pair(&job.config, &job.data)
         .unwrap_or_else(|| [PathBuf::from("LEFT.png"), PathBuf::from("RIGHT.png")])
         .map(|path| quoted(&path));
-    format!("{} predict --run {} {left} {right}", program(), quoted(run))
+    let run = quoted(&job.run);
+    format!("{} predict --run {run} {left} {right}", program())
+}
+
+/// The command that shows what the run's networks can do.
+fn evaluate_command(job: &Job) -> String {
+    let (run, data) = (quoted(&job.run), quoted(&job.data));
+    format!(
+        "{} evaluate --run {run} --data {data} --split val",
+        program()
+    )
+}
+
+/// Whether a dataset has pairs; taken for granted where it cannot be read any more.
+fn is_stereo(data: &Path) -> bool {
+    StereoDataset::open(data).map_or(true, |dataset| dataset.info.stereo)
 }
 
 /// The images of the first frame that validated; none where there is none, which is no reason to
@@ -431,7 +510,7 @@ mod tests {
 
     fn resolve(line: &str) -> Result<TrainConfig> {
         let words = std::iter::once("train").chain(line.split_whitespace());
-        Line::try_parse_from(words).unwrap().args.resolve()
+        Line::try_parse_from(words).unwrap().args.resolve(None)
     }
 
     #[test]

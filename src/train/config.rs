@@ -215,25 +215,40 @@ impl TrainConfig {
                 format!("give one of {}", names.join(", ")),
             ));
         };
-        let invalid = |what: String, source: toml::de::Error| {
-            Error::value(
-                what,
-                source.to_string().trim().to_owned(),
-                "correct the setting",
-            )
-        };
-        let mut table: toml::Table =
-            toml::from_str(text).map_err(|source| invalid(format!("preset {name}"), source))?;
-        let mut origin = format!("preset {name}");
+        let origin = format!("preset {name}");
+        let table =
+            toml::from_str(text).map_err(|source| invalid_settings(origin.clone(), &source))?;
+        Self::laid_over(table, origin, file, flags)
+    }
+
+    /// These settings, over them a TOML file, over that single settings.
+    ///
+    /// # Errors
+    /// An unknown setting, a file that cannot be read, a value that cannot be used.
+    pub fn changed(&self, file: Option<&Path>, flags: &toml::Table) -> Result<Self> {
+        let origin = "the run's settings".to_owned();
+        let table = toml::Table::try_from(self)
+            .map_err(|source| invalid_settings(origin.clone(), &source))?;
+        Self::laid_over(table, origin, file, flags)
+    }
+
+    fn laid_over(
+        mut table: toml::Table,
+        mut origin: String,
+        file: Option<&Path>,
+        flags: &toml::Table,
+    ) -> Result<Self> {
         if let Some(path) = file {
             origin = format!("config {}", path.display());
             let text = files::read_text(path)?;
-            let changes =
-                toml::from_str(&text).map_err(|source| invalid(origin.clone(), source))?;
+            let changes = toml::from_str(&text)
+                .map_err(|source| invalid_settings(origin.clone(), &source))?;
             overlay(&mut table, &changes);
         }
         overlay(&mut table, flags);
-        let config: Self = table.try_into().map_err(|source| invalid(origin, source))?;
+        let config: Self = table
+            .try_into()
+            .map_err(|source| invalid_settings(origin, &source))?;
         config.validate()?;
         Ok(config)
     }
@@ -342,6 +357,14 @@ impl TrainConfig {
     }
 }
 
+fn invalid_settings(what: String, source: &dyn std::error::Error) -> Error {
+    Error::value(
+        what,
+        source.to_string().trim().to_owned(),
+        "correct the setting",
+    )
+}
+
 /// Puts `changes` over `base`, table by table.
 fn overlay(base: &mut toml::Table, changes: &toml::Table) {
     for (key, value) in changes {
@@ -369,6 +392,37 @@ mod tests {
     }
 
     #[test]
+    fn settings_that_quick_leaves_out_are_shown_with_the_value_that_then_holds() {
+        let (_, text) = PRESETS[0];
+        let mut shown: Vec<String> = Vec::new();
+        let is_optional = |line: &&str| line.starts_with("# ") && line.contains(" = ");
+        for line in text.lines() {
+            // What has no such value is shown with an example.
+            let example = ["# split", "# weights"].iter().any(|e| line.starts_with(e));
+            match Some(line).filter(is_optional) {
+                Some(line) if !example => shown.push(line[2..].to_owned()),
+                Some(_) => {}
+                None => shown.push(line.to_owned()),
+            }
+        }
+        let spelled: toml::Table = toml::from_str(&shown.join("\n")).unwrap();
+        let config: TrainConfig = spelled.clone().try_into().unwrap();
+        assert_eq!(config, TrainConfig::preset("quick").unwrap());
+        // An empty list is not written at all.
+        let all = toml::Table::try_from(&config).unwrap();
+        for section in ["detector", "distance"] {
+            let names = |table: &toml::Table| -> Vec<String> {
+                let section = table[section].as_table().unwrap();
+                let mut names: Vec<String> = section.keys().cloned().collect();
+                names.retain(|name| name != "freeze");
+                names.sort();
+                names
+            };
+            assert_eq!(names(&spelled), names(&all));
+        }
+    }
+
+    #[test]
     fn flags_go_over_the_file_and_the_file_over_the_preset() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("my.toml");
@@ -382,6 +436,18 @@ mod tests {
             config.distance,
             TrainConfig::preset("quick").unwrap().distance
         );
+    }
+
+    #[test]
+    fn settings_survive_being_changed_by_nothing_and_take_single_changes() {
+        for (name, _) in PRESETS {
+            let config = TrainConfig::preset(name).unwrap();
+            assert_eq!(config.changed(None, &toml::Table::new()).unwrap(), config);
+            let flags = toml::from_str("[distance]\nepochs = 5\n").unwrap();
+            let changed = config.changed(None, &flags).unwrap();
+            assert_eq!(changed.detector, config.detector);
+            assert_eq!(changed.distance.epochs, 5);
+        }
     }
 
     #[test]

@@ -30,4 +30,4 @@ pub use config::{
 pub(crate) use devices::DeviceSet;
 pub use log::{EpochRow, RunLog};
 pub use plan::{StagePlan, TrainPlan, plan};
-pub use run::{Stage, TrainRequest, TrainSummary, saved_config, train};
+pub use run::{NotEvaluated, SavedRun, Stage, TrainRequest, TrainSummary, saved_config, train};

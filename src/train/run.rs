@@ -1,10 +1,12 @@
 //! A whole run: data, detector, distance network, and what came of it.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::config::TrainConfig;
 use super::detector::DetectorRecipe;
@@ -12,13 +14,16 @@ use super::devices::DeviceSet;
 use super::distance::DistanceRecipe;
 use super::log::RunLog;
 use super::stage::{PreparedStage, Recipe, StagePlace, StageResult, run_stage};
-use crate::dataset::{Split, StereoDataset};
+use crate::dataset::{Frame, Split, StereoDataset};
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
 use crate::evaluate::{Evaluation, evaluate_dataset};
 use crate::files;
 use crate::pipeline::StereoRanger;
 use crate::progress::Progress;
+
+/// File of a run's settings.
+const CONFIG: &str = "config.json";
 
 /// Which networks are trained.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -60,8 +65,20 @@ pub struct TrainSummary {
     pub detector_seconds: Option<f64>,
     /// Seconds of distance training in this call.
     pub distance_seconds: Option<f64>,
-    /// The finished run on the validation split; absent while a network is missing.
+    /// The finished run on the validation split.
     pub evaluation: Option<Evaluation>,
+    /// Why there is no evaluation, where there is none.
+    pub not_evaluated: Option<NotEvaluated>,
+}
+
+/// Why a run is not evaluated at its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NotEvaluated {
+    /// One of the networks is still missing.
+    MissingNetwork,
+    /// The dataset has no validation frames.
+    NoValidationFrames,
 }
 
 /// Trains a run.
@@ -87,7 +104,15 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
         detector_seconds: None,
         distance_seconds: None,
         evaluation: None,
+        not_evaluated: None,
     };
+    let validates = !dataset.split(Split::Val).is_empty();
+    if !validates {
+        progress.note(
+            "the dataset has no validation frames: nothing is validated, and the best weights are \
+             the last ones",
+        );
+    }
     let place = || StagePlace {
         run: request.run,
         resume: request.resume,
@@ -113,7 +138,11 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
     let complete = ["detector", "distance"]
         .iter()
         .all(|stage| super::StageFolder::new(request.run, stage).best().exists());
-    if complete && !dataset.split(Split::Val).is_empty() {
+    if !complete {
+        summary.not_evaluated = Some(NotEvaluated::MissingNetwork);
+    } else if !validates {
+        summary.not_evaluated = Some(NotEvaluated::NoValidationFrames);
+    } else {
         let ranger = StereoRanger::load(request.run, device)?;
         let evaluation = evaluate_dataset(&ranger, request.run, &dataset, Split::Val, progress)?;
         summary.evaluation = Some(evaluation);
@@ -192,6 +221,20 @@ fn refuse_unlearnable(request: &TrainRequest, dataset: &StereoDataset) -> Result
             "train the detector alone on it: `twinsight train detector`",
         ));
     }
+    if request.stage != Stage::Detector {
+        let frames = dataset.split(Split::Train);
+        let labelled = |frame: &&Frame| !frame.vehicles(kind).is_empty();
+        if !frames.iter().any(labelled) {
+            return Err(Error::dataset(
+                &dataset.folder,
+                format!(
+                    "has no vehicle with a {kind} box in both images of a training frame and a \
+                     distance, which the distance network learns from"
+                ),
+                "label distances, or train the detector alone: `twinsight train detector`",
+            ));
+        }
+    }
     Ok(())
 }
 
@@ -215,40 +258,59 @@ fn run_announced<R: Recipe>(stage: PreparedStage<R>, place: &StagePlace) -> Resu
 /// # Errors
 /// A `config.json` that cannot be read.
 pub fn saved_config(run: &Path) -> Result<Option<TrainConfig>> {
-    Ok(saved(run)?.map(|saved| saved.config))
+    Ok(SavedRun::read(run)?.map(|saved| saved.config))
 }
 
-/// What is read back of `config.json`.
-#[derive(Deserialize)]
-struct Saved {
-    config: TrainConfig,
+/// What a run folder was last trained with, as its `config.json` tells.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct SavedRun {
+    /// The settings.
+    pub config: TrainConfig,
+    /// The dataset's folder as it was given.
+    pub data: PathBuf,
+    /// What was computed on, separated by commas.
+    device: String,
     #[serde(default)]
     dataset: SavedDataset,
 }
 
-#[derive(Default, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 struct SavedDataset {
     fingerprint: Option<String>,
 }
 
-fn saved(run: &Path) -> Result<Option<Saved>> {
-    let path = run.join("config.json");
-    if !path.exists() {
-        return Ok(None);
+impl SavedRun {
+    /// Reads a run folder's `config.json`, if there is one.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn read(run: &Path) -> Result<Option<Self>> {
+        let path = run.join(CONFIG);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let saved = serde_json::from_str(&files::read_text(&path)?).map_err(|source| {
+            Error::value(
+                path.display().to_string(),
+                format!("does not hold a run's settings: {source}"),
+                "restore the file that `train` wrote",
+            )
+        })?;
+        Ok(Some(saved))
     }
-    let saved: Saved = serde_json::from_str(&files::read_text(&path)?).map_err(|source| {
-        Error::value(
-            path.display().to_string(),
-            format!("does not hold a run's settings: {source}"),
-            "restore the file that `train` wrote",
-        )
-    })?;
-    Ok(Some(saved))
+
+    /// What was computed on.
+    ///
+    /// # Errors
+    /// A name that is no device's.
+    pub fn devices(&self) -> Result<Vec<DeviceName>> {
+        self.device.split(',').map(str::parse).collect()
+    }
 }
 
 /// Refuses to go on with a dataset that is no longer what the run was started on.
 fn refuse_changed_data(request: &TrainRequest, fingerprint: &str) -> Result<()> {
-    let known = saved(request.run)?.and_then(|saved| saved.dataset.fingerprint);
+    let known = SavedRun::read(request.run)?.and_then(|saved| saved.dataset.fingerprint);
     if known.is_none_or(|known| known == fingerprint) {
         return Ok(());
     }
@@ -269,22 +331,69 @@ fn refuse_other_settings(request: &TrainRequest) -> Result<()> {
     let Some(saved) = saved_config(request.run)? else {
         return Ok(());
     };
-    let config = request.config;
+    let encoded = |config: &TrainConfig| {
+        serde_json::to_value(config).map_err(|source| {
+            Error::training(
+                format!("cannot encode the settings: {source}"),
+                "report this as a defect",
+            )
+        })
+    };
+    let (mut before, mut now) = (encoded(&saved)?, encoded(request.config)?);
     let started = |stage: &str| super::StageFolder::new(request.run, stage).last().exists();
-    let shared =
-        (saved.seed, saved.box_kind, saved.split) != (config.seed, config.box_kind, config.split);
-    let detector = request.stage != Stage::Distance && started("detector");
-    let distance = request.stage != Stage::Detector && started("distance");
-    let differs = (shared && (detector || distance))
-        || (detector && saved.detector != config.detector)
-        || (distance && saved.distance != config.distance);
-    if !differs {
+    let goes_on = |stage: &str, other: Stage| request.stage != other && started(stage);
+    let [detector, distance] = [
+        ("detector", goes_on("detector", Stage::Distance)),
+        ("distance", goes_on("distance", Stage::Detector)),
+    ];
+    for settings in [&mut before, &mut now] {
+        let Some(settings) = settings.as_object_mut() else {
+            continue;
+        };
+        // It changes no result.
+        settings.remove("cache_mib");
+        for (stage, goes_on) in [detector, distance] {
+            if !goes_on {
+                settings.remove(stage);
+            }
+        }
+        if !detector.1 && !distance.1 {
+            settings.clear();
+        }
+    }
+    let mut changes = Vec::new();
+    differences("", &before, &now, &mut changes);
+    if changes.is_empty() {
         return Ok(());
     }
     Err(Error::training(
-        format!("{} was started with other settings", request.run.display()),
-        "resume with those in its config.json, or train into another --run",
+        format!(
+            "{} was started with other settings: {}",
+            request.run.display(),
+            changes.join(", ")
+        ),
+        "leave these settings out, so that the run goes on with its own, or train into another --run",
     ))
+}
+
+/// Names the settings that differ, with both values.
+fn differences(name: &str, before: &Value, now: &Value, found: &mut Vec<String>) {
+    if let (Value::Object(before), Value::Object(now)) = (before, now) {
+        let keys: BTreeSet<&String> = before.keys().chain(now.keys()).collect();
+        for key in keys {
+            let path = if name.is_empty() {
+                key.clone()
+            } else {
+                format!("{name}.{key}")
+            };
+            let of = |values: &serde_json::Map<String, Value>| {
+                values.get(key).cloned().unwrap_or_default()
+            };
+            differences(&path, &of(before), &of(now), found);
+        }
+    } else if before != now {
+        found.push(format!("{name} was {before} and is {now}"));
+    }
 }
 
 /// `config.json`: the settings and what they were applied to.
@@ -310,7 +419,7 @@ fn write_config(request: &TrainRequest, dataset: &StereoDataset, fingerprint: &s
             "left_out": dataset.problems.len(),
         },
     });
-    write_json(&request.run.join("config.json"), &config)
+    write_json(&request.run.join(CONFIG), &config)
 }
 
 fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
@@ -333,9 +442,14 @@ impl fmt::Display for TrainSummary {
                 writeln!(f, "{stage:<10} trained in {:.1} minutes", seconds / 60.0)?;
             }
         }
-        match &self.evaluation {
-            Some(evaluation) => write!(f, "{evaluation}"),
-            None => write!(f, "not evaluated: the run does not have both networks yet"),
+        if let Some(evaluation) = &self.evaluation {
+            return write!(f, "{evaluation}");
         }
+        f.write_str(match self.not_evaluated {
+            Some(NotEvaluated::NoValidationFrames) => {
+                "not evaluated: the dataset has no validation frames"
+            }
+            _ => "not evaluated: the run does not have both networks yet",
+        })
     }
 }
