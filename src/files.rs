@@ -29,6 +29,29 @@ pub fn write_atomically(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
+/// Waits until a folder's files are on the disk, so that a power cut no longer loses them.
+///
+/// # Errors
+/// [`Error::Io`] naming what the system could not write.
+pub fn sync_folder(folder: &Path) -> Result<()> {
+    let sync = |path: &Path| {
+        fs::File::open(path)
+            .and_then(|file| file.sync_all())
+            .map_err(Error::io("write", path))
+    };
+    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
+        sync(&entry.map_err(Error::io("read", folder))?.path())?;
+    }
+    // Elsewhere a folder cannot be opened like a file.
+    if cfg!(unix) {
+        sync(folder)?;
+        if let Some(parent) = folder.parent() {
+            sync(parent)?;
+        }
+    }
+    Ok(())
+}
+
 /// A temporary file in the folder of `path`, to be renamed to it; its name ends in `suffix`.
 pub(crate) fn temporary_beside(path: &Path, suffix: &str) -> Result<NamedTempFile> {
     let folder = match path.parent() {
@@ -118,7 +141,12 @@ impl GrowingFile {
 /// [`Error::Io`] naming the file.
 pub fn content_mark(path: impl AsRef<Path>) -> Result<String> {
     let bytes = fs::read(&path).map_err(Error::io("read", &path))?;
-    Ok(format!("{} {:08x}", bytes.len(), crc32fast::hash(&bytes)))
+    Ok(mark_of(&bytes))
+}
+
+/// The length and check sum of content, as of [`content_mark`].
+pub fn mark_of(bytes: &[u8]) -> String {
+    format!("{} {:08x}", bytes.len(), crc32fast::hash(bytes))
 }
 
 /// Creates a folder and its parents; an existing folder is fine.

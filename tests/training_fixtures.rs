@@ -22,7 +22,7 @@ use twinsight::detector::loss::{LossGains, detection_loss};
 use twinsight::detector::weights::tensor_name;
 use twinsight::train::optimizer::{
     AverageRule, clip_gradients, detector_optimizer, distance_optimizer, ema_decay, flat_values,
-    schedule_factor, with_values,
+    schedule_factor, warmed_up, with_values,
 };
 use twinsight::train::{OptimizerKind, Schedule};
 use twinsight::weights::StateDict;
@@ -49,7 +49,7 @@ impl<const D: usize> One<D> {
 }
 
 /// Follows an optimiser through the fixture's gradients.
-fn check_optimizer(name: &str, mut optimizer: ModuleOptimizer) {
+fn check_optimizer(name: &str, rate: f64, mut optimizer: ModuleOptimizer) {
     let fixture = Fixture::load("optim");
     let device = devices::flex().autodiff();
     let (_, start) = fixture.f32(&format!("{name}.init"));
@@ -69,7 +69,7 @@ fn check_optimizer(name: &str, mut optimizer: ModuleOptimizer) {
             module.weight.id,
             Tensor::<2>::from_data(grad, &devices::flex()),
         );
-        module = optimizer.step(0.001, module, params);
+        module = optimizer.step(rate, module, params);
         let values = network::values(&module.weight.val());
         assert_abs(&values, expected, 1e-6, &format!("{name}, step {step}"));
     }
@@ -77,15 +77,44 @@ fn check_optimizer(name: &str, mut optimizer: ModuleOptimizer) {
 
 #[test]
 fn the_distance_networks_adam_takes_the_reference_steps() {
-    check_optimizer("adam", distance_optimizer(OptimizerKind::Adam));
+    check_optimizer("adam", 0.001, distance_optimizer(OptimizerKind::Adam));
 }
 
 #[test]
 fn the_detectors_adam_takes_the_reference_steps_with_weight_decay() {
     check_optimizer(
         "adam_ultra",
+        0.001,
         detector_optimizer(OptimizerKind::Adam, 5e-4, None).unwrap(),
     );
+}
+
+#[test]
+fn stochastic_gradient_descent_takes_the_reference_steps() {
+    let sgd = detector_optimizer(OptimizerKind::Sgd, 5e-4, None).unwrap();
+    check_optimizer("sgd", 0.01, sgd);
+}
+
+#[test]
+fn the_warm_up_follows_the_reference() {
+    let fixture = Fixture::load("optim");
+    let (_, iterations) = fixture.i64("warmup.ni");
+    let (_, expected) = fixture.f64("warmup.bias_lr_other_lr_momentum_accumulate_f64");
+    // The fixture's parameters; rates change by whole epochs there.
+    let (rate, first_bias_rate, steps, steps_per_epoch) = (0.01, 0.1, 150.0, 50);
+    for (&iteration, expected) in iterations.iter().zip(expected.chunks_exact(4)) {
+        let epoch = (iteration / steps_per_epoch) as f64;
+        let full = rate * schedule_factor(Schedule::Linear, epoch, 100.0, 0.01);
+        let at = |first, last| warmed_up(first, last, iteration as f64, steps);
+        // The last column, how many batches make a step, is a setting here (batch, micro_batch).
+        let values = [at(first_bias_rate, full), at(0.0, full), at(0.8, 0.937)];
+        assert_abs(
+            &values,
+            &expected[..3],
+            1e-9,
+            &format!("iteration {iteration}"),
+        );
+    }
 }
 
 #[test]

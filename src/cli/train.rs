@@ -315,10 +315,9 @@ impl TrainArgs {
         for device in &job.devices {
             device.open()?;
         }
-        for weights in [&config.detector.weights, &config.distance.weights]
-            .into_iter()
-            .flatten()
-        {
+        // A network that goes on has its own.
+        let given = [&config.detector.weights, &config.distance.weights];
+        for weights in given.into_iter().flatten().filter(|_| !self.resume) {
             fs::File::open(weights).map_err(Error::io("read", weights))?;
         }
         files::create_folder(run)

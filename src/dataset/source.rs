@@ -1,6 +1,6 @@
 //! Datasets as Burn's data loaders take them: items by index, decoded when they are asked for.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use burn_dataset::{Dataset, DatasetError};
@@ -77,6 +77,13 @@ impl DetectionSource {
             entries,
             cache: DecodedCache::new(cache_bytes),
         }
+    }
+}
+
+impl DetectionSource {
+    /// The image file of an item.
+    pub(crate) fn path(&self, item: usize) -> Option<&Path> {
+        Some(&self.entries.get(item)?.image.path)
     }
 }
 

@@ -39,10 +39,44 @@ pub struct StageState {
     pub best: Option<(f64, u32)>,
     /// Length and check sum of the files beside this one.
     pub files: BTreeMap<String, String>,
-    /// The settings of the stage as JSON text, to notice that they changed. Text, because numbers
-    /// that are parsed and compared again may differ in their last bit.
+    /// The settings of the stage as JSON text, to notice that they changed.
     pub settings: String,
+    /// Fingerprint of the dataset that the stage learns from.
+    pub dataset: String,
+    /// Check sum of all this.
+    #[serde(default)]
+    pub mark: String,
 }
+
+impl StageState {
+    /// The state with the check sum that it must have.
+    fn marked(mut self) -> Result<Self> {
+        self.mark.clear();
+        let text = serde_json::to_vec(&self).map_err(|source| unencodable(&source))?;
+        self.mark = files::mark_of(&text);
+        Ok(self)
+    }
+}
+
+fn read_state(path: &Path) -> Result<StageState> {
+    serde_json::from_str(&files::read_text(path)?).map_err(|source| {
+        Error::training(
+            format!("{} cannot be read: {source}", path.display()),
+            DAMAGED,
+        )
+    })
+}
+
+fn unencodable(source: &serde_json::Error) -> Error {
+    Error::training(
+        format!("cannot encode the state: {source}"),
+        "report this as a defect",
+    )
+}
+
+/// What to do about something to resume from that is not what training saved.
+const DAMAGED: &str = "restore it from a copy, or train into another --run (from this one's weights: --weights, \
+     --distance-weights)";
 
 /// The folder of a stage: weights for users, and what resuming needs.
 #[derive(Debug, Clone)]
@@ -126,33 +160,65 @@ impl StageFolder {
         Ok(epochs)
     }
 
+    /// The last epoch that is complete, and its folder.
+    fn complete_epoch(&self) -> Result<Option<(u32, PathBuf)>> {
+        let epochs = self.resume_epochs()?;
+        Ok(epochs
+            .into_iter()
+            .rfind(|(_, folder)| folder.join(STATE).exists()))
+    }
+
+    /// Fingerprint of the dataset that the stage was started on, if it has saved an epoch.
+    ///
+    /// # Errors
+    /// A state that cannot be read.
+    pub fn dataset(&self) -> Result<Option<String>> {
+        let Some((_, folder)) = self.complete_epoch()? else {
+            return Ok(None);
+        };
+        Ok(Some(read_state(&folder.join(STATE))?.dataset))
+    }
+
     /// The state to resume from, if there is one: the last complete epoch.
     ///
     /// # Errors
-    /// A state that cannot be read, or that belongs to other settings.
-    pub fn state(&self, settings: &str) -> Result<Option<StageState>> {
+    /// A state that cannot be read, that belongs to other settings, or that is missing though the
+    /// stage has saved one before.
+    pub fn state(&self, steering: &Steering) -> Result<Option<StageState>> {
         if self.resume().join(STATE).exists() {
             return Err(Error::training(
                 format!("{} was saved by an older version", self.resume().display()),
                 "train into another --run from this one's weights (--weights, --distance-weights)",
             ));
         }
-        let complete = self
-            .resume_epochs()?
-            .into_values()
-            .rfind(|folder| folder.join(STATE).exists());
-        let Some(folder) = complete else {
+        let Some((epoch, folder)) = self.complete_epoch()? else {
+            // Weights are written shortly before the first epoch is complete.
+            if self.last().exists() && !self.resume_epoch(1).exists() {
+                return Err(Error::training(
+                    format!(
+                        "{} has weights, but nothing to go on from in {}",
+                        self.folder.display(),
+                        self.resume().display()
+                    ),
+                    DAMAGED,
+                ));
+            }
             return Ok(None);
         };
         let path = folder.join(STATE);
-        let text = files::read_text(&path)?;
-        let state: StageState = serde_json::from_str(&text).map_err(|source| {
-            Error::training(
-                format!("{} cannot be read: {source}", path.display()),
-                "delete the `resume` folder to start the stage afresh",
-            )
-        })?;
-        if state.settings != settings {
+        let state = read_state(&path)?;
+        if state.clone().marked()?.mark != state.mark
+            || (state.epoch, state.epoch > steering.epochs) != (epoch, false)
+        {
+            return Err(Error::training(
+                format!(
+                    "{} is damaged: it is not what training saved",
+                    path.display()
+                ),
+                DAMAGED,
+            ));
+        }
+        if state.settings != steering.settings {
             return Err(Error::training(
                 format!("{} belongs to a run with other settings", path.display()),
                 "resume with the settings of the run's config.json, or train into another --run",
@@ -165,7 +231,7 @@ impl StageFolder {
                 return Err(Error::weights(
                     path,
                     "is missing or damaged: it is not what training saved",
-                    "restore it from a copy, or delete the `resume` folder to start the stage afresh",
+                    DAMAGED,
                 ));
             }
         }
@@ -310,15 +376,14 @@ impl<R: Recipe> StageSaver<R> {
             best,
             files,
             settings: self.steering.settings.clone(),
-        };
-        let json = serde_json::to_vec_pretty(&state).map_err(|source| {
-            Error::training(
-                format!("cannot encode the state: {source}"),
-                "report this as a defect",
-            )
-        })?;
+            dataset: self.steering.dataset.clone(),
+            mark: String::new(),
+        }
+        .marked()?;
+        let json = serde_json::to_vec_pretty(&state).map_err(|source| unencodable(&source))?;
         files::write_atomically(folder.join(STATE), &json)?;
-        // Only now are the epochs before it superfluous.
+        files::sync_folder(&folder)?;
+        // Only now, after a power cut too, are the epochs before it superfluous.
         for (earlier, folder) in self.folder.resume_epochs()? {
             if (earlier as usize) < epoch {
                 remove(&folder)?;
@@ -434,7 +499,7 @@ impl<R: Recipe> EarlyStoppingStrategy for Patience<R> {
     fn should_stop(&mut self, epoch: usize, _: &EventStoreClient) -> bool {
         self.0
             .steering
-            .epochs_in_vain(epoch as u32, self.0.best())
+            .gives_up_after(epoch as u32, self.0.best())
             .is_some()
     }
 }

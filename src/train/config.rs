@@ -261,6 +261,7 @@ impl TrainConfig {
         let (detector, distance) = (&self.detector, &self.distance);
         let share = 0.0..=1.0;
         let checks = [
+            ("cache_mib", self.cache_mib as f64, 0.0..=1e6),
             (
                 "detector.image_size",
                 f64::from(detector.image_size),

@@ -1,7 +1,7 @@
 //! The detector's recipe.
 
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use burn::optim::ModuleOptimizer;
@@ -99,20 +99,21 @@ impl DetectorRecipe {
         })
     }
 
-    /// The whole stage, ready to run.
+    /// The whole stage, ready to run. One that goes on gets its weights from what it saved.
     ///
     /// # Errors
     /// A dataset without training images, or weights that do not fit.
     pub fn prepared(
         config: &TrainConfig,
         dataset: &StereoDataset,
+        goes_on: bool,
         device: &Device,
         progress: &dyn Progress,
     ) -> Result<PreparedStage<Self>> {
         let recipe = Self::new(config, dataset, device)?;
         Ok(PreparedStage {
             steering: recipe.steering(),
-            network: recipe.model(progress)?,
+            network: recipe.model(goes_on, progress)?,
             recipe: Arc::new(recipe),
         })
     }
@@ -121,11 +122,12 @@ impl DetectorRecipe {
     ///
     /// # Errors
     /// Weights that do not fit.
-    fn model(&self, progress: &dyn Progress) -> Result<Yolo11> {
+    fn model(&self, goes_on: bool, progress: &dyn Progress) -> Result<Yolo11> {
         let classes = self.header.classes.len();
         self.device.seed(self.seed);
         let frozen = frozen_layers(&self.settings.freeze)?;
-        let Some(path) = &self.settings.weights else {
+        let given = self.settings.weights.as_ref().filter(|_| !goes_on);
+        let Some(path) = given else {
             let fresh = Yolo11Config::new(self.settings.scale, classes).init(&self.device);
             return freeze(fresh, "detector.freeze", &frozen);
         };
@@ -170,6 +172,8 @@ impl DetectorRecipe {
             patience: settings.patience,
             keep_last: settings.keep_last,
             settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings }).to_string(),
+            // Known to the run, which opened it.
+            dataset: String::new(),
         }
     }
 
@@ -194,6 +198,18 @@ impl DetectorRecipe {
         Pcg64::new(u128::from(self.seed) | (u128::from(purpose) << 64), stream)
     }
 
+    /// The other items of an item's mosaic, if it is one, and the random numbers that follow.
+    fn others(&self, epoch: u32, item: usize) -> (Option<[usize; 3]>, Pcg64) {
+        let settings = &self.settings;
+        let mut random = self.random(epoch, item, 0);
+        let with_mosaics = epoch + settings.close_mosaic < settings.epochs;
+        let is_mosaic =
+            settings.mosaic > 0.0 && with_mosaics && random.random_bool(settings.mosaic);
+        let count = self.train.len();
+        let others = is_mosaic.then(|| [(); 3].map(|()| random.random_range(0..count)));
+        (others, random)
+    }
+
     /// Writes an augmented image into its planes.
     fn augmented(
         &self,
@@ -209,11 +225,8 @@ impl DetectorRecipe {
             shift: settings.shift,
             flip: settings.flip,
         };
-        let mut random = self.random(epoch, item, 0);
-        let with_mosaics = epoch + settings.close_mosaic < settings.epochs;
-        if settings.mosaic > 0.0 && with_mosaics && random.random_bool(settings.mosaic) {
-            let count = self.train.len();
-            let others = [(); 3].map(|()| random.random_range(0..count));
+        let (others, mut random) = self.others(epoch, item);
+        if let Some(others) = others {
             let [a, b, c] = others.map(|other| self.item(other));
             let items = [self.item(item)?, a?, b?, c?];
             let scenes = items.each_ref().map(scene);
@@ -268,11 +281,13 @@ impl Recipe for DetectorRecipe {
         self.train.len()
     }
 
-    fn item_name(&self, item: usize) -> String {
-        self.train.get(item).map_or_else(
-            |_| format!("item {item}"),
-            |item| item.path.display().to_string(),
-        )
+    fn item_files(&self, epoch: u32, item: usize) -> Vec<PathBuf> {
+        let (others, _) = self.others(epoch, item);
+        let items = std::iter::once(item).chain(others.into_iter().flatten());
+        items
+            .filter_map(|item| self.train.path(item))
+            .map(Path::to_path_buf)
+            .collect()
     }
 
     fn load(&self, epoch: u32, items: &[usize]) -> Result<LetterboxedBatch> {

@@ -4,7 +4,7 @@ mod detected;
 mod load;
 
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use burn::module::Module as _;
@@ -150,7 +150,8 @@ impl DistanceRecipe {
         })
     }
 
-    /// The whole stage, ready to run; as [`DistanceRecipe::new`].
+    /// The whole stage, ready to run; as [`DistanceRecipe::new`]. One that goes on gets its weights
+    /// from what it saved.
     ///
     /// # Errors
     /// Those of [`DistanceRecipe::new`], or weights that do not fit.
@@ -158,13 +159,14 @@ impl DistanceRecipe {
         config: &TrainConfig,
         dataset: &StereoDataset,
         run: Option<&Path>,
+        goes_on: bool,
         device: &Device,
         progress: &dyn Progress,
     ) -> Result<PreparedStage<Self>> {
         let recipe = Self::new(config, dataset, run, device, progress)?;
         Ok(PreparedStage {
             steering: recipe.steering(),
-            network: recipe.model(progress)?,
+            network: recipe.model(goes_on, progress)?,
             recipe: Arc::new(recipe),
         })
     }
@@ -173,17 +175,17 @@ impl DistanceRecipe {
     ///
     /// # Errors
     /// A frame that cannot be read, or a device that fails.
-    fn model(&self, progress: &dyn Progress) -> Result<RangingNetwork> {
+    fn model(&self, goes_on: bool, progress: &dyn Progress) -> Result<RangingNetwork> {
         self.device.seed(self.seed);
         let device = self.device.clone().without_autodiff();
         let freeze_named = |network| freeze(network, "distance.freeze", &self.settings.freeze);
-        if let Some(path) = &self.settings.weights {
+        if let Some(path) = self.settings.weights.as_ref().filter(|_| !goes_on) {
             let network = self.given_weights(path, &device)?;
             return freeze_named(network.train());
         }
         let network = self.header.config().init(&device)?;
         initialize(&network);
-        if !self.settings.fit_start {
+        if !self.settings.fit_start || goes_on {
             return freeze_named(network.train());
         }
         progress.begin("distance, first weights", self.train.len() as u64);
@@ -219,6 +221,14 @@ impl DistanceRecipe {
                 .map_err(|source| Error::training(source.to_string(), "try another device"))?;
             rows.extend(values.chunks_exact(width).map(<[f64]>::to_vec));
             progress.advance(vehicles.len() as u64);
+            if progress.interrupted() {
+                progress.end();
+                return Err(Error::Interrupted {
+                    resume:
+                        "the distance network has not begun; run the same command with --resume"
+                            .to_owned(),
+                });
+            }
         }
         progress.end();
         if self.settings.disparity {
@@ -288,6 +298,8 @@ impl DistanceRecipe {
             patience: settings.patience,
             keep_last: settings.keep_last,
             settings: serde_json::json!({ "seed": self.seed, "header": self.header, "training": settings, "detector": self.detector }).to_string(),
+            // Known to the run, which opened it.
+            dataset: String::new(),
         }
     }
 
@@ -387,8 +399,9 @@ impl Recipe for DistanceRecipe {
         self.train.len()
     }
 
-    fn item_name(&self, item: usize) -> String {
-        self.train[item].frame.left.path.display().to_string()
+    fn item_files(&self, _: u32, item: usize) -> Vec<PathBuf> {
+        let images = self.train[item].frame.images();
+        images.map(|(_, image)| image.path.clone()).collect()
     }
 
     fn load(&self, epoch: u32, items: &[usize]) -> Result<LoadedComposites> {

@@ -14,6 +14,7 @@ use burn_dataset::{Dataset as _, DatasetError, InMemDataset};
 
 use super::stage::{Recipe, Steering};
 use super::trainee::Failure;
+use crate::error::Error;
 
 /// Passes that wait for their step, at most.
 const LOADED_AHEAD: usize = 1;
@@ -148,6 +149,7 @@ impl<R: Recipe> DataLoader<Pass<R::Batch>> for PassLoader<R> {
             thread: Some(thread),
             processed: 0,
             total,
+            failure: self.failure.clone(),
         })
     }
 
@@ -173,15 +175,35 @@ struct Passes<B> {
     thread: Option<JoinHandle<()>>,
     processed: usize,
     total: usize,
+    failure: Failure,
 }
 
 impl<B> Iterator for Passes<B> {
     type Item = std::result::Result<Pass<B>, DatasetError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let pass = self.receiver.as_ref()?.recv().ok()?;
+        let Ok(pass) = self.receiver.as_ref()?.recv() else {
+            self.finish();
+            return None;
+        };
         self.processed += pass.items.len();
         Some(Ok(pass))
+    }
+}
+
+impl<B> Passes<B> {
+    /// Ends the thread; an epoch that it broke off must not count as finished.
+    fn finish(&mut self) {
+        // It ends when nobody takes its passes any more.
+        drop(self.receiver.take());
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            self.failure.set(Error::training(
+                "loading training items stopped with a panic".to_owned(),
+                "report this as a defect",
+            ));
+        }
     }
 }
 
@@ -193,12 +215,7 @@ impl<B> DataLoaderIterator<Pass<B>> for Passes<B> {
 
 impl<B> Drop for Passes<B> {
     fn drop(&mut self) {
-        // The thread ends when nobody takes its passes any more.
-        drop(self.receiver.take());
-        if let Some(thread) = self.thread.take() {
-            // A panic of the thread was reported by itself; here only the work ends.
-            let _ = thread.join();
-        }
+        self.finish();
     }
 }
 
@@ -215,8 +232,7 @@ pub struct Check {
 pub struct CheckLoader {
     items: usize,
     batch: usize,
-    every: u32,
-    epochs: u32,
+    steering: Steering,
     /// Epochs begun.
     epoch: AtomicU32,
 }
@@ -227,18 +243,17 @@ impl CheckLoader {
         Self {
             items,
             batch,
-            every: steering.validate_every,
-            epochs: steering.epochs,
+            steering: steering.clone(),
             epoch: AtomicU32::new(finished_epochs),
         }
     }
-}
 
-impl CheckLoader {
     fn again(&self) -> Self {
         Self {
+            items: self.items,
+            batch: self.batch,
+            steering: self.steering.clone(),
             epoch: AtomicU32::new(self.epoch.load(Ordering::Relaxed)),
-            ..*self
         }
     }
 }
@@ -246,7 +261,7 @@ impl CheckLoader {
 impl DataLoader<Check> for CheckLoader {
     fn iter<'a>(&'a self) -> Box<dyn DataLoaderIterator<Check> + 'a> {
         let finished = self.epoch.fetch_add(1, Ordering::Relaxed) + 1;
-        let validates = finished.is_multiple_of(self.every) || finished == self.epochs;
+        let validates = self.steering.validates(finished);
         Box::new(Checks {
             next: 0,
             items: if validates { self.items } else { 0 },

@@ -7,6 +7,7 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use tensorboard_rs::summary_writer::{FileWriter, SummaryWriter};
 
+use super::events::Events;
 use crate::error::{Error, Result};
 use crate::files;
 
@@ -104,9 +105,9 @@ pub type SharedLog = Arc<Mutex<RunLog>>;
 pub struct RunLog {
     csv: PathBuf,
     rows: Vec<EpochRow>,
-    events: SummaryWriter,
+    events: Events<SummaryWriter>,
     /// Pictures go through the inner writer, into a file of their own.
-    pictures: FileWriter,
+    pictures: Events<FileWriter>,
 }
 
 impl RunLog {
@@ -129,17 +130,12 @@ impl RunLog {
                 })?);
             }
         }
-        // The writer panics when it cannot create its file, so make sure that it can.
         let folder = run.join("tensorboard");
-        files::create_folder(&folder)?;
-        let probe = folder.join("probe");
-        files::write_atomically(&probe, b"")?;
-        std::fs::remove_file(&probe).map_err(Error::io("remove", &probe))?;
         Ok(Self {
             csv,
             rows,
-            events: SummaryWriter::new(&folder),
-            pictures: FileWriter::new(folder.join("pictures")),
+            events: Events::begin(&folder, |folder| SummaryWriter::new(folder))?,
+            pictures: Events::begin(&folder.join("pictures"), |folder| FileWriter::new(folder))?,
         })
     }
 
@@ -155,11 +151,12 @@ impl RunLog {
     /// A file that cannot be written.
     pub fn add(&mut self, row: EpochRow) -> Result<()> {
         let step = usize::try_from(row.step).unwrap_or(usize::MAX);
-        for (tag, value) in row.scalars() {
-            self.events
-                .add_scalar(&format!("{}/{tag}", row.stage), value as f32, step);
-        }
-        self.events.flush();
+        self.events.write(|events| {
+            for (tag, value) in row.scalars() {
+                events.add_scalar(&format!("{}/{tag}", row.stage), value as f32, step);
+            }
+            events.flush();
+        })?;
         self.rows.push(row);
         let broken = |source: csv::Error| {
             Error::value("metrics.csv", source.to_string(), "report this as a defect")
@@ -175,7 +172,16 @@ impl RunLog {
     }
 
     /// A picture for TensorBoard.
-    pub fn add_picture(&mut self, stage: &str, tag: &str, step: u64, picture: &RgbImage) {
+    ///
+    /// # Errors
+    /// A full disk.
+    pub fn add_picture(
+        &mut self,
+        stage: &str,
+        tag: &str,
+        step: u64,
+        picture: &RgbImage,
+    ) -> Result<()> {
         let (width, height) = picture.dimensions();
         // The writer wants rows of RGB pixels and takes the sides as width, height; it then
         // writes them down the wrong way round.
@@ -187,34 +193,51 @@ impl RunLog {
             value.mut_image().set_height(height.cast_signed());
         }
         let step = usize::try_from(step).unwrap_or(usize::MAX);
-        self.pictures.add_summary(summary, step);
-        self.pictures.flush();
+        self.pictures.write(|pictures| {
+            pictures.add_summary(summary, step);
+            pictures.flush();
+        })
     }
 
     /// A histogram of numbers for TensorBoard.
-    pub fn add_histogram(&mut self, stage: &str, tag: &str, step: u64, values: &[f32]) {
+    ///
+    /// # Errors
+    /// A full disk.
+    pub fn add_histogram(
+        &mut self,
+        stage: &str,
+        tag: &str,
+        step: u64,
+        values: &[f32],
+    ) -> Result<()> {
         let Some(histogram) = Histogram::of(values) else {
-            return;
+            return Ok(());
         };
         let step = usize::try_from(step).unwrap_or(usize::MAX);
-        self.events.add_histogram_raw(
-            &format!("{stage}/{tag}"),
-            histogram.min,
-            histogram.max,
-            histogram.count,
-            histogram.sum,
-            histogram.sum_squares,
-            &histogram.limits,
-            &histogram.counts,
-            step,
-        );
+        self.events.write(|events| {
+            events.add_histogram_raw(
+                &format!("{stage}/{tag}"),
+                histogram.min,
+                histogram.max,
+                histogram.count,
+                histogram.sum,
+                histogram.sum_squares,
+                &histogram.limits,
+                &histogram.counts,
+                step,
+            );
+        })
     }
 
     /// The loss of single steps, for TensorBoard only.
-    pub fn add_step(&mut self, stage: &str, step: u64, loss: f64) {
+    ///
+    /// # Errors
+    /// A full disk.
+    pub fn add_step(&mut self, stage: &str, step: u64, loss: f64) -> Result<()> {
         let step = usize::try_from(step).unwrap_or(usize::MAX);
+        let tag = format!("{stage}/step/loss");
         self.events
-            .add_scalar(&format!("{stage}/step/loss"), loss as f32, step);
+            .write(|events| events.add_scalar(&tag, loss as f32, step))
     }
 }
 

@@ -1,5 +1,7 @@
 //! What is measured while training, as metrics of burn-train.
 
+use std::collections::BTreeSet;
+use std::path::PathBuf;
 use std::sync::{Arc, PoisonError};
 use std::time::Instant;
 
@@ -33,11 +35,14 @@ impl Adaptor<PassReport> for PassReport {
     }
 }
 
+/// The files of some items in an epoch, in words.
+type FilesOf = Arc<dyn Fn(u32, &[usize]) -> String + Send + Sync>;
+
 /// What a training metric reads from the passes.
 #[derive(Clone)]
 enum Reading {
-    /// The sum of all terms, which must stay finite; how to name an item.
-    Loss(Failure, Arc<dyn Fn(usize) -> String + Send + Sync>),
+    /// The sum of all terms, which must stay finite; how to name the files of an epoch's items.
+    Loss(Failure, FilesOf),
     /// One term.
     Term(usize),
     LearningRate,
@@ -81,7 +86,7 @@ impl TrainingMetric {
     /// All of a recipe.
     pub fn all<R: Recipe>(recipe: &Arc<R>, failure: &Failure, norms: &Norms) -> Vec<Self> {
         let names = Arc::clone(recipe);
-        let named = Arc::new(move |item| names.item_name(item));
+        let named: FilesOf = Arc::new(move |epoch, items| files_of(&*names, epoch, items));
         let mut all = vec![Self::new(LOSS, Reading::Loss(failure.clone(), named))];
         // A single term is the loss itself.
         if R::TERMS.len() > 1 {
@@ -113,19 +118,37 @@ impl TrainingMetric {
         if let Reading::Loss(failure, name) = &self.reading
             && !loss.is_finite()
         {
-            let names: Vec<String> = pass.items.iter().map(|&item| name(item)).collect();
-            failure.set(Error::training(
-                format!(
-                    "the {} loss is {loss} in epoch {}, step {}, on {}",
-                    pass.stage,
-                    pass.epoch + 1,
-                    pass.step + 1,
-                    names.join(", ")
-                ),
-                "check these files; else lower the learning rate and --resume",
-            ));
+            let names = name(pass.epoch, &pass.items);
+            let value = format!("the {} loss is {loss}", pass.stage);
+            failure.set(not_finite(&value, pass.epoch, pass.step, &names));
         }
     }
+}
+
+/// The files of items, by name.
+pub fn files_of<R: Recipe>(recipe: &R, epoch: u32, items: &[usize]) -> String {
+    let files: BTreeSet<PathBuf> = items
+        .iter()
+        .flat_map(|&item| recipe.item_files(epoch, item))
+        .collect();
+    let names: Vec<String> = files
+        .iter()
+        .map(|file| file.display().to_string())
+        .collect();
+    names.join(", ")
+}
+
+/// A number that is none any more, in an epoch and step that count from 0.
+pub fn not_finite(value: &str, epoch: u32, step: u64, files: &str) -> Error {
+    Error::training(
+        format!(
+            "{value} in epoch {}, step {}, on {files}",
+            epoch + 1,
+            step + 1
+        ),
+        "check these files; else train into another --run with a lower learning rate (from this one's \
+         weights: --weights, --distance-weights)",
+    )
 }
 
 fn entry(value: f64) -> SerializedEntry {
@@ -322,12 +345,28 @@ impl<F> Adaptor<MayShow> for CheckReport<F> {
 pub struct Showcase {
     stage: &'static str,
     log: SharedLog,
+    failure: Failure,
 }
 
 impl Showcase {
     /// Into a log, under a stage's name.
-    pub fn new(stage: &'static str, log: SharedLog) -> Self {
-        Self { stage, log }
+    pub fn new(stage: &'static str, log: SharedLog, failure: Failure) -> Self {
+        Self {
+            stage,
+            log,
+            failure,
+        }
+    }
+
+    fn show(&self, shown: &Shown) -> crate::error::Result<()> {
+        let mut log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
+        for (tag, picture) in &shown.pictures {
+            log.add_picture(self.stage, tag, shown.step, picture)?;
+        }
+        for (path, values) in &shown.weights {
+            log.add_histogram(self.stage, &format!("weights/{path}"), shown.step, values)?;
+        }
+        Ok(())
     }
 }
 
@@ -343,14 +382,10 @@ impl Metric for Showcase {
         MayShow(shown): &MayShow,
         _: &MetricMetadata,
     ) -> Result<SerializedEntry, TensorReadError> {
-        if let Some(shown) = shown {
-            let mut log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
-            for (tag, picture) in &shown.pictures {
-                log.add_picture(self.stage, tag, shown.step, picture);
-            }
-            for (path, values) in &shown.weights {
-                log.add_histogram(self.stage, &format!("weights/{path}"), shown.step, values);
-            }
+        if let Some(shown) = shown
+            && let Err(error) = self.show(shown)
+        {
+            self.failure.set(error);
         }
         Ok(SerializedEntry::not_available(None))
     }

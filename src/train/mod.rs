@@ -7,6 +7,7 @@ mod config;
 mod detector;
 mod devices;
 mod distance;
+mod events;
 mod loader;
 mod log;
 mod metrics;

@@ -184,6 +184,17 @@ pub fn schedule_factor(schedule: Schedule, epoch: f64, epochs: f64, last: f64) -
     }
 }
 
+/// A value of the warm-up, which goes in a straight line from `first` to `last` over so many steps
+/// (yolo11.md, section 8.2).
+pub fn warmed_up(first: f64, last: f64, step: f64, steps: f64) -> f64 {
+    let share = if steps > 0.0 {
+        (step / steps).min(1.0)
+    } else {
+        1.0
+    };
+    first + (last - first) * share
+}
+
 /// Decay of the averaged weights at update number `update` (from 1): short at first.
 pub fn ema_decay(longest: f64, ramp: f64, update: u64) -> f64 {
     longest * (1.0 - (-(update as f64) / ramp).exp())

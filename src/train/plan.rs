@@ -87,11 +87,12 @@ pub fn plan(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainPlan
     let device = devices.main();
     let mut stages = Vec::new();
     if request.stage != Stage::Distance {
-        let stage = DetectorRecipe::prepared(request.config, &dataset, device, progress)?;
+        let stage = DetectorRecipe::prepared(request.config, &dataset, false, device, progress)?;
         stages.push(measure(stage, &devices)?);
     }
     if request.stage != Stage::Detector {
-        let stage = DistanceRecipe::prepared(request.config, &dataset, None, device, progress)?;
+        let stage =
+            DistanceRecipe::prepared(request.config, &dataset, None, false, device, progress)?;
         stages.push(measure(stage, &devices)?);
     }
     Ok(TrainPlan { stages })
@@ -306,7 +307,8 @@ impl fmt::Display for TrainPlan {
             "\nMeasured on a few steps of each network. Passes are forward and backward alone; a step has clipping, \
              optimiser and averaged weights too; whole is from step to step with the next one's data loaded \
              beside it. The ratio of passes to whole is the share of the bare network's throughput that training \
-             reaches. Validation is not in the minutes.\nNothing was trained."
+             reaches. Validation is not in the minutes, and of the decoded images that stay in memory (up to \
+             cache_mib) only those of these steps are in the MiB.\nNothing was trained."
         )
     }
 }

@@ -86,7 +86,9 @@ impl MetricLogger for MetricsLog {
                 Some(NumericEntry::Value(value)) if name == LOSS => {
                     self.step += 1;
                     let mut log = self.log.lock().unwrap_or_else(PoisonError::into_inner);
-                    log.add_step(self.stage, self.step, value);
+                    if let Err(error) = log.add_step(self.stage, self.step, value) {
+                        self.failure.set(error);
+                    }
                 }
                 _ => {}
             }

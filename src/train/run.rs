@@ -2,12 +2,14 @@
 
 use std::collections::BTreeSet;
 use std::fmt;
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::checkpoint::StageFolder;
 use super::config::TrainConfig;
 use super::detector::DetectorRecipe;
 use super::devices::DeviceSet;
@@ -22,6 +24,10 @@ use crate::files;
 use crate::pipeline::StereoRanger;
 use crate::progress::Progress;
 
+/// The networks of a run.
+const STAGES: [&str; 2] = [DetectorRecipe::STAGE, DistanceRecipe::STAGE];
+/// File that a process holds locked while it trains.
+const LOCK: &str = "train.lock";
 /// File of a run's settings.
 const CONFIG: &str = "config.json";
 
@@ -92,8 +98,9 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
     let (dataset, devices) = open_dataset(request, progress)?;
     files::create_folder(request.run)?;
     let fingerprint = dataset.fingerprint()?;
+    let _lock = lock(request.run)?;
+    refuse_other_settings(request)?;
     if request.resume {
-        refuse_other_settings(request)?;
         refuse_changed_data(request, &fingerprint)?;
     }
     write_config(request, &dataset, &fingerprint)?;
@@ -122,22 +129,24 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
     };
     let device = devices.main();
     if request.stage != Stage::Distance {
-        let stage = DetectorRecipe::prepared(request.config, &dataset, device, progress)?;
-        summary.detector_seconds = Some(run_announced(stage, &place())?.seconds);
+        let goes_on = request.goes_on(DetectorRecipe::STAGE)?;
+        let stage = DetectorRecipe::prepared(request.config, &dataset, goes_on, device, progress)?;
+        summary.detector_seconds = Some(run_announced(stage, &fingerprint, &place())?.seconds);
     }
     if request.stage != Stage::Detector {
         let stage = DistanceRecipe::prepared(
             request.config,
             &dataset,
             Some(request.run),
+            request.goes_on(DistanceRecipe::STAGE)?,
             device,
             progress,
         )?;
-        summary.distance_seconds = Some(run_announced(stage, &place())?.seconds);
+        summary.distance_seconds = Some(run_announced(stage, &fingerprint, &place())?.seconds);
     }
-    let complete = ["detector", "distance"]
+    let complete = STAGES
         .iter()
-        .all(|stage| super::StageFolder::new(request.run, stage).best().exists());
+        .all(|stage| request.folder(stage).best().exists());
     if !complete {
         summary.not_evaluated = Some(NotEvaluated::MissingNetwork);
     } else if !validates {
@@ -151,6 +160,20 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
     Ok(summary)
 }
 
+/// Keeps other processes from training into the run; the system ends it with this one.
+fn lock(run: &Path) -> Result<File> {
+    let path = run.join(LOCK);
+    let file = File::create(&path).map_err(Error::io("write", &path))?;
+    if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+        return Err(Error::training(
+            format!("another process trains into {}", run.display()),
+            "wait for it, stop it, or train into another --run",
+        ));
+    }
+    // A file system without locks is no reason not to train.
+    Ok(file)
+}
+
 /// Checks the settings and opens what they name: the dataset, divided as the settings say, and the
 /// device.
 pub(super) fn open_dataset(
@@ -159,7 +182,7 @@ pub(super) fn open_dataset(
 ) -> Result<(StereoDataset, DeviceSet)> {
     let devices = DeviceSet::open(request.devices)?;
     request.config.validate()?;
-    refuse_uneven(request.config, devices.len())?;
+    refuse_uneven(request, devices.len())?;
     let mut dataset = StereoDataset::open(request.data)?;
     if let Some(split) = request.config.split {
         dataset.resplit(split, request.config.seed)?;
@@ -173,7 +196,11 @@ pub(super) fn open_dataset(
 }
 
 /// Refuses batches that several devices cannot share evenly.
-fn refuse_uneven(config: &TrainConfig, devices: usize) -> Result<()> {
+fn refuse_uneven(request: &TrainRequest, devices: usize) -> Result<()> {
+    let config = request.config;
+    if devices == 1 {
+        return Ok(());
+    }
     let stages = [
         (
             "detector",
@@ -187,6 +214,9 @@ fn refuse_uneven(config: &TrainConfig, devices: usize) -> Result<()> {
         ),
     ];
     for (stage, batch, micro_batch) in stages {
+        if !request.trains(stage) {
+            continue;
+        }
         let each = batch / devices;
         if !batch.is_multiple_of(devices) || !each.is_multiple_of(micro_batch.min(each)) {
             return Err(Error::value(
@@ -239,7 +269,12 @@ fn refuse_unlearnable(request: &TrainRequest, dataset: &StereoDataset) -> Result
 }
 
 /// Runs a stage and says what on, and what came of it.
-fn run_announced<R: Recipe>(stage: PreparedStage<R>, place: &StagePlace) -> Result<StageResult> {
+fn run_announced<R: Recipe>(
+    mut stage: PreparedStage<R>,
+    fingerprint: &str,
+    place: &StagePlace,
+) -> Result<StageResult> {
+    fingerprint.clone_into(&mut stage.steering.dataset);
     let progress = place.progress;
     let items = stage.recipe.items();
     progress.note(&format!("{}: {items} training images", R::STAGE));
@@ -270,13 +305,6 @@ pub struct SavedRun {
     pub data: PathBuf,
     /// What was computed on, separated by commas.
     device: String,
-    #[serde(default)]
-    dataset: SavedDataset,
-}
-
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-struct SavedDataset {
-    fingerprint: Option<String>,
 }
 
 impl SavedRun {
@@ -308,25 +336,57 @@ impl SavedRun {
     }
 }
 
-/// Refuses to go on with a dataset that is no longer what the run was started on.
-fn refuse_changed_data(request: &TrainRequest, fingerprint: &str) -> Result<()> {
-    let known = SavedRun::read(request.run)?.and_then(|saved| saved.dataset.fingerprint);
-    if known.is_none_or(|known| known == fingerprint) {
-        return Ok(());
+impl TrainRequest<'_> {
+    /// Whether a network of this name is trained.
+    fn trains(&self, stage: &str) -> bool {
+        match self.stage {
+            Stage::All => true,
+            Stage::Detector => stage == DetectorRecipe::STAGE,
+            Stage::Distance => stage == DistanceRecipe::STAGE,
+        }
     }
-    Err(Error::dataset(
-        request.data,
-        format!(
-            "is no longer the dataset that {} was started on: frames, splits or labels changed",
-            request.run.display()
-        ),
-        "resume with the old dataset, or train on into another --run from this one's weights \
-         (--weights, --distance-weights)",
-    ))
+
+    fn folder(&self, stage: &str) -> StageFolder {
+        StageFolder::new(self.run, stage)
+    }
+
+    /// Whether a network of this name goes on from an epoch that it saved.
+    fn goes_on(&self, stage: &str) -> Result<bool> {
+        Ok(self.resume && self.folder(stage).dataset()?.is_some())
+    }
+
+    /// Whether a network of this name has been trained before.
+    fn has(&self, stage: &str) -> bool {
+        self.folder(stage).last().exists()
+    }
 }
 
-/// Refuses to resume a network under other settings than it was started with, before the run's
-/// own `config.json`, which says what to go back to, is replaced.
+/// Refuses to go on with a dataset that is no longer what a network was started on.
+fn refuse_changed_data(request: &TrainRequest, fingerprint: &str) -> Result<()> {
+    for stage in STAGES {
+        if !request.trains(stage) {
+            continue;
+        }
+        let known = request.folder(stage).dataset()?;
+        if known.is_some_and(|known| known != fingerprint) {
+            return Err(Error::dataset(
+                request.data,
+                format!(
+                    "is no longer the dataset that the {stage} of {} was started on: frames, splits \
+                     or labels changed",
+                    request.run.display()
+                ),
+                "resume with the old dataset, or train on into another --run from this one's weights \
+                 (--weights, --distance-weights)",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses settings that a network goes on with and was not started with, and a second network
+/// that does not share the first one's general settings. The run's own `config.json`, which says
+/// what to go back to, is still there then.
 fn refuse_other_settings(request: &TrainRequest) -> Result<()> {
     let Some(saved) = saved_config(request.run)? else {
         return Ok(());
@@ -340,24 +400,19 @@ fn refuse_other_settings(request: &TrainRequest) -> Result<()> {
         })
     };
     let (mut before, mut now) = (encoded(&saved)?, encoded(request.config)?);
-    let started = |stage: &str| super::StageFolder::new(request.run, stage).last().exists();
-    let goes_on = |stage: &str, other: Stage| request.stage != other && started(stage);
-    let [detector, distance] = [
-        ("detector", goes_on("detector", Stage::Distance)),
-        ("distance", goes_on("distance", Stage::Detector)),
-    ];
     for settings in [&mut before, &mut now] {
         let Some(settings) = settings.as_object_mut() else {
             continue;
         };
         // It changes no result.
         settings.remove("cache_mib");
-        for (stage, goes_on) in [detector, distance] {
-            if !goes_on {
+        for stage in STAGES {
+            if !(request.resume && request.trains(stage) && request.has(stage)) {
                 settings.remove(stage);
             }
         }
-        if !detector.1 && !distance.1 {
+        let stays = |stage: &&str| request.has(stage) && (request.resume || !request.trains(stage));
+        if !STAGES.iter().any(stays) {
             settings.clear();
         }
     }
@@ -372,7 +427,7 @@ fn refuse_other_settings(request: &TrainRequest) -> Result<()> {
             request.run.display(),
             changes.join(", ")
         ),
-        "leave these settings out, so that the run goes on with its own, or train into another --run",
+        "give the run's own values (with --resume they may be left out), or train into another --run",
     ))
 }
 
@@ -396,11 +451,22 @@ fn differences(name: &str, before: &Value, now: &Value, found: &mut Vec<String>)
     }
 }
 
-/// `config.json`: the settings and what they were applied to.
+/// `config.json`: the settings and what they were applied to. A network that is there already and is
+/// not trained now keeps its own.
 fn write_config(request: &TrainRequest, dataset: &StereoDataset, fingerprint: &str) -> Result<()> {
+    let mut config = request.config.clone();
+    if let Some(saved) = saved_config(request.run)? {
+        let keeps = |stage: &str| request.has(stage) && !request.trains(stage);
+        if keeps(DetectorRecipe::STAGE) {
+            config.detector = saved.detector;
+        }
+        if keeps(DistanceRecipe::STAGE) {
+            config.distance = saved.distance;
+        }
+    }
     let config = serde_json::json!({
         "version": env!("CARGO_PKG_VERSION"),
-        "config": request.config,
+        "config": config,
         "stage": request.stage,
         "device": request.devices.iter().map(ToString::to_string).collect::<Vec<_>>().join(","),
         "data": request.data,

@@ -4,7 +4,7 @@ use burn::optim::LearningRate;
 use burn::optim::lr_scheduler::module_lr_scheduler::ModuleLrScheduler;
 use burn::optim::lr_scheduler::{LrScheduler, LrSchedulerRecord};
 
-use super::optimizer::{parameter_group, schedule_factor};
+use super::optimizer::{parameter_group, schedule_factor, warmed_up};
 use super::stage::Steering;
 use crate::error::Result;
 
@@ -55,8 +55,10 @@ impl RiseAndFall {
         let epoch = step as f64 / self.steps_per_epoch.max(1) as f64;
         let last = steering.final_learning_rate;
         let factor = schedule_factor(steering.schedule, epoch, f64::from(steering.epochs), last);
-        let rise = (step + 1) as f64 / steering.warmup_steps(self.steps_per_epoch).max(1.0);
-        self.first + (steering.learning_rate * factor - self.first) * rise.min(1.0)
+        let full = steering.learning_rate * factor;
+        let steps = steering.warmup_steps(self.steps_per_epoch);
+        // A step at a rate of zero would move nothing: a step has the rate of its end.
+        warmed_up(self.first, full, (step + 1) as f64, steps)
     }
 }
 

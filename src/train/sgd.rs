@@ -5,6 +5,8 @@ use burn::optim::momentum::{Momentum, MomentumConfig, MomentumState};
 use burn::optim::{LearningRate, Optimizer, RecordState, StateSink, StateSource, join_path};
 use burn::tensor::{Device, Tensor};
 
+use super::optimizer::warmed_up;
+
 /// Names in an optimiser's record.
 const VELOCITY: &str = "momentum";
 const UPDATES: &str = "updates";
@@ -46,8 +48,9 @@ impl WarmedSgd {
     /// The momentum of a parameter's update, counted from 0.
     fn momentum(&self, update: u64) -> f64 {
         self.warmup.map_or(self.momentum, |warmup| {
-            let risen = ((update + 1) as f64 / warmup.steps.max(1.0)).min(1.0);
-            warmup.first + (self.momentum - warmup.first) * risen
+            // As the rates: that of the step's end.
+            let step = (update + 1) as f64;
+            warmed_up(warmup.first, self.momentum, step, warmup.steps)
         })
     }
 }

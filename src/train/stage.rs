@@ -2,7 +2,7 @@
 //! watched, interrupted and resumed.
 
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
@@ -67,6 +67,8 @@ pub struct Steering {
     pub keep_last: u32,
     /// The stage's settings as JSON text, to notice on resuming that they changed.
     pub settings: String,
+    /// Fingerprint of the dataset, to notice on resuming that it is another one.
+    pub dataset: String,
 }
 
 impl Steering {
@@ -89,18 +91,27 @@ impl Steering {
             patience: 0,
             keep_last: 0,
             settings: String::new(),
+            dataset: String::new(),
         }
     }
 
-    /// Steps over which the learning rate rises.
+    /// Steps over which the learning rate rises; the last epoch is never among them.
     pub fn warmup_steps(&self, steps_per_epoch: u64) -> f64 {
-        self.warmup_epochs * steps_per_epoch as f64
+        let longest = f64::from(self.epochs.saturating_sub(1));
+        self.warmup_epochs.min(longest) * steps_per_epoch as f64
     }
 
-    /// Epochs without a better result after so many epochs, when they are too many.
-    pub fn epochs_in_vain(&self, epoch: u32, best: Option<(f64, u32)>) -> Option<u32> {
+    /// Whether an epoch, counted from 1, ends with a validation.
+    pub fn validates(&self, epoch: u32) -> bool {
+        epoch.is_multiple_of(self.validate_every) || epoch == self.epochs
+    }
+
+    /// Epochs without a better result after so many epochs, when they are too many. An epoch that
+    /// was not validated might have been better.
+    pub fn gives_up_after(&self, epoch: u32, best: Option<(f64, u32)>) -> Option<u32> {
         let epochs = epoch.saturating_sub(best?.1);
-        (self.patience > 0 && epochs >= self.patience).then_some(epochs)
+        let in_vain = self.patience > 0 && epochs >= self.patience && self.validates(epoch);
+        in_vain.then_some(epochs)
     }
 }
 
@@ -138,8 +149,8 @@ pub trait Recipe: Send + Sync + 'static {
     /// Number of training items.
     fn items(&self) -> usize;
 
-    /// What an item is called in messages: its files.
-    fn item_name(&self, item: usize) -> String;
+    /// The files that an item is made of in an epoch, for messages.
+    fn item_files(&self, epoch: u32, item: usize) -> Vec<PathBuf>;
 
     /// Loads and augments items. Runs beside the steps; the result depends on nothing but the seed,
     /// the epoch and the items.
@@ -269,7 +280,7 @@ pub fn run_stage<R: Recipe>(prepared: PreparedStage<R>, place: &StagePlace) -> R
     let mut state = StageState::default();
     if !place.resume {
         folder.forget()?;
-    } else if let Some(saved) = folder.state(&steering.settings)? {
+    } else if let Some(saved) = folder.state(&steering)? {
         state = saved;
         progress.note(&format!(
             "{}: resuming after epoch {}",
@@ -282,7 +293,7 @@ pub fn run_stage<R: Recipe>(prepared: PreparedStage<R>, place: &StagePlace) -> R
     drop(log);
 
     let finished = state.epoch;
-    let in_vain = steering.epochs_in_vain(finished, state.best).is_some();
+    let in_vain = steering.gives_up_after(finished, state.best).is_some();
     let best = if finished < steering.epochs && !in_vain {
         Launch::new(prepared, &state, place)?.run(place)?
     } else {
@@ -302,11 +313,11 @@ pub fn run_stage<R: Recipe>(prepared: PreparedStage<R>, place: &StagePlace) -> R
 
 /// Epochs without a better result that ended a stage early, if they did.
 fn stopped_in_vain(folder: &StageFolder, steering: &Steering) -> Option<u32> {
-    let state = folder.state(&steering.settings).ok()??;
+    let state = folder.state(steering).ok()??;
     if state.epoch >= steering.epochs {
         return None;
     }
-    steering.epochs_in_vain(state.epoch, state.best)
+    steering.gives_up_after(state.epoch, state.best)
 }
 
 /// A stage made ready.
@@ -400,12 +411,13 @@ impl<R: Recipe> Launch<R> {
         if let Some(problem) = problem {
             return Err(Error::training(
                 format!("training the {} stopped: {problem}", R::STAGE),
-                "mend what it names and --resume; a smaller batch or another device may help",
+                "mend what it names and --resume, or train into another --run with a smaller batch or on \
+                 another device",
             ));
         }
         let folder = StageFolder::new(place.run, R::STAGE);
         if interrupted {
-            let saved = folder.state(&saver.steering().settings)?;
+            let saved = folder.state(saver.steering())?;
             return Err(Error::Interrupted {
                 resume: format!(
                     "{} is saved up to epoch {}; run the same command with --resume to go on",
@@ -449,7 +461,7 @@ impl<R: Recipe> Launch<R> {
             .with_custom_checkpointers(models, optimizers, schedules)
             .with_checkpointing_strategy(SaveEveryEpoch(Arc::clone(&self.saver)))
             .early_stopping(Patience(Arc::clone(&self.saver)))
-            .metric_valid(Showcase::new(R::STAGE, log))
+            .metric_valid(Showcase::new(R::STAGE, log, self.failure.clone()))
             .with_training_strategy(devices.strategy().into());
         let norms = &self.trainee.course.norms;
         for metric in TrainingMetric::all(&self.recipe, &self.failure, norms) {

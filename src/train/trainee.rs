@@ -14,6 +14,7 @@ use image::RgbImage;
 
 use super::devices::DeviceSet;
 use super::loader::{Check, Pass};
+use super::metrics::{files_of, not_finite};
 use super::optimizer::{
     AverageRule, clip_gradients, flat_values, initialize, named_weights, with_values,
 };
@@ -47,6 +48,14 @@ impl Failure {
 /// Gradient norms of the steps since they were last taken.
 pub type Norms = Arc<Mutex<Vec<f64>>>;
 
+/// A pass of the step at hand, to tell what made its gradient.
+struct Trace {
+    epoch: u32,
+    items: Vec<usize>,
+    /// The loss's terms, before they are read back.
+    terms: Tensor<1>,
+}
+
 /// What a step needs beside the network.
 pub struct Course<R: Recipe> {
     /// Loss, loading and validation.
@@ -61,10 +70,53 @@ pub struct Course<R: Recipe> {
     shared: Option<Arc<SharedTraining>>,
     /// Where the gradient norms go.
     pub norms: Norms,
+    /// The passes of the step at hand, of all devices.
+    traces: Arc<Mutex<Vec<Trace>>>,
     /// Where errors go.
     pub failure: Failure,
     /// What validates; made once per validation, of its inference copy.
     judge: OnceLock<Option<Arc<R::Judge>>>,
+}
+
+impl<R: Recipe> Course<R> {
+    fn trace(&self, pass: &PassReport, terms: Tensor<1>) {
+        let mut traces = self.traces.lock().unwrap_or_else(PoisonError::into_inner);
+        traces.push(Trace {
+            epoch: pass.epoch,
+            items: pass.items.clone(),
+            terms,
+        });
+    }
+
+    fn take_traces(&self) -> Vec<Trace> {
+        std::mem::take(&mut *self.traces.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Stops the loop because of a gradient that is no number, and names the passes to blame: one
+    /// whose loss is none, else all.
+    fn refuse_gradient(&self, norm: f64, passes: Vec<Trace>) {
+        let epoch = passes.first().map_or(0, |pass| pass.epoch);
+        let stage = R::STAGE;
+        let mut items = Vec::new();
+        for pass in passes {
+            let loss: f64 = match pass.terms.try_into_vec_as::<f64>() {
+                Ok(terms) => terms.iter().sum(),
+                Err(_) => f64::NAN,
+            };
+            if !loss.is_finite() {
+                let files = files_of(&*self.recipe, epoch, &pass.items);
+                let value = format!("the {stage} loss is {loss}");
+                return self
+                    .failure
+                    .set(not_finite(&value, epoch, self.steps, &files));
+            }
+            items.extend(pass.items);
+        }
+        let files = files_of(&*self.recipe, epoch, &items);
+        let value = format!("the norm of the {stage} gradient is {norm}");
+        self.failure
+            .set(not_finite(&value, epoch, self.steps, &files));
+    }
 }
 
 impl<R: Recipe> Clone for Course<R> {
@@ -76,6 +128,7 @@ impl<R: Recipe> Clone for Course<R> {
             steps: self.steps,
             shared: self.shared.clone(),
             norms: Arc::clone(&self.norms),
+            traces: Arc::clone(&self.traces),
             failure: self.failure.clone(),
             // Another copy has other weights.
             judge: OnceLock::new(),
@@ -135,6 +188,7 @@ impl<R: Recipe> TraineeOf<R> {
                 steps,
                 shared: SharedTraining::between(devices).map(Arc::new),
                 norms: Norms::default(),
+                traces: Arc::default(),
                 failure,
                 judge: OnceLock::new(),
             },
@@ -229,7 +283,9 @@ where
         let network = private.as_ref().unwrap_or(&self.network);
         let grads = match recipe.loss(network, pass.batch, pass.share) {
             Ok(loss) => {
-                report.unread = Some(loss.terms.without_autodiff());
+                let terms = loss.terms.without_autodiff();
+                self.course.trace(&report, terms.clone());
+                report.unread = Some(terms);
                 if let Some((shared, private)) = shared.zip(private.as_ref()) {
                     shared.keep(private);
                 }
@@ -261,6 +317,11 @@ where
                 return self;
             }
         };
+        let traces = self.course.take_traces();
+        if !norm.is_finite() {
+            self.course.refuse_gradient(norm, traces);
+            return self;
+        }
         let mut norms = self
             .course
             .norms

@@ -80,9 +80,43 @@ fn start(place: &Workplace, line: &str) -> Child {
         .unwrap()
 }
 
+/// Epochs of the detector and the distance network that a run has saved.
+fn saved_epochs(run: &Path) -> [u32; 2] {
+    ["detector", "distance"].map(|stage| {
+        let Ok(entries) = fs::read_dir(run.join(stage).join("resume")) else {
+            return 0;
+        };
+        let epochs = entries.filter_map(|entry| {
+            let path = entry.unwrap().path();
+            let name = path.file_name()?.to_str()?;
+            let epoch: u32 = name.strip_prefix("epoch-")?.parse().ok()?;
+            path.join("state.json").exists().then_some(epoch)
+        });
+        epochs.max().unwrap_or(0)
+    })
+}
+
+/// Fails where a resumed run goes on from other epochs than those that were saved.
+fn assert_goes_on(saved: [u32; 2], stderr: &str, is_over: bool) {
+    for (stage, epoch) in ["detector", "distance"].iter().zip(saved) {
+        let begin = format!("{stage}: resuming after epoch ");
+        let said = stderr
+            .lines()
+            .find_map(|line| line.trim().strip_prefix(&begin));
+        let wanted = (epoch > 0).then(|| epoch.to_string());
+        if said.is_some() || is_over {
+            assert_eq!(said.map(str::to_owned), wanted, "{stage}: {stderr}");
+        }
+    }
+}
+
 #[test]
 fn a_run_that_is_killed_again_and_again_learns_what_an_uninterrupted_one_does() {
-    let place = with_settings();
+    let place = with_dataset();
+    place.write(
+        "three.toml",
+        THREE_EPOCHS.replace("epochs = 3", "epochs = 6"),
+    );
     let begun = Instant::now();
     place.line(&format!("{TRAIN} --run whole")).success();
     let whole = begun.elapsed();
@@ -92,10 +126,12 @@ fn a_run_that_is_killed_again_and_again_learns_what_an_uninterrupted_one_does() 
     // compared, and another one is killed from then on.
     let (mut kills, mut runs) = (0_u32, 0_u32);
     let mut begins = true;
+    let mut kills_of_stage = [0, 0];
     while kills < 20 {
         let share = f64::from(kills * 7 % 20 + 1) / 22.0;
         let run = format!("killed-{runs}");
         let resume = if begins { "" } else { "--resume" };
+        let saved = saved_epochs(&place.path(&run));
         let mut child = start(&place, &format!("{TRAIN} --run {run} {resume}"));
         let wait = Duration::from_secs_f64(whole.as_secs_f64() * share * 0.6);
         let begun = Instant::now();
@@ -103,22 +139,116 @@ fn a_run_that_is_killed_again_and_again_learns_what_an_uninterrupted_one_does() 
             std::thread::sleep(Duration::from_millis(2));
         }
         if child.try_wait().unwrap().is_some() {
-            Outcome::of(child.wait_with_output().unwrap()).success();
+            let outcome = Outcome::of(child.wait_with_output().unwrap());
+            assert_goes_on(saved, &outcome.stderr, true);
+            outcome.success();
             assert_learnt_alike(&wanted, &learnt(&place.path(&run)), kills);
             runs += 1;
             begins = true;
             continue;
         }
         child.kill().unwrap();
-        child.wait().unwrap();
+        let outcome = Outcome::of(child.wait_with_output().unwrap());
+        assert_goes_on(saved, &outcome.stderr, false);
+        let [detector, _] = saved_epochs(&place.path(&run));
+        kills_of_stage[usize::from(detector == 6)] += 1;
         kills += 1;
         begins = false;
     }
+    assert!(
+        kills_of_stage.iter().all(|&kills| kills > 1),
+        "both networks are to be hit: {kills_of_stage:?}"
+    );
     let run = format!("killed-{runs}");
-    place
-        .line(&format!("{TRAIN} --run {run} --resume"))
-        .success();
+    let saved = saved_epochs(&place.path(&run));
+    let outcome = place.line(&format!("{TRAIN} --run {run} --resume"));
+    assert_goes_on(saved, &outcome.stderr, true);
+    outcome.success();
     assert_learnt_alike(&wanted, &learnt(&place.path(&run)), kills);
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_a_run_with_what_is_saved_and_how_to_go_on() {
+    let place = with_dataset();
+    place.write(
+        "long.toml",
+        THREE_EPOCHS.replace("epochs = 3", "epochs = 500"),
+    );
+    let mut child = start(
+        &place,
+        "train detector --config long.toml --data data --run r",
+    );
+    while saved_epochs(&place.path("r"))[0] == 0 {
+        assert!(child.try_wait().unwrap().is_none(), "ended by itself");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    // Another process must not meddle with the run meanwhile.
+    place
+        .line("train detector --config long.toml --data data --run r --resume")
+        .error_says(&["another process", "r", "--run"]);
+    let interrupt = std::process::Command::new("kill")
+        .args(["-INT", &child.id().to_string()])
+        .status();
+    assert!(interrupt.unwrap().success());
+    let outcome = Outcome::of(child.wait_with_output().unwrap());
+    assert_eq!(outcome.code, Some(130), "{}", outcome.stderr);
+    let [epoch, _] = saved_epochs(&place.path("r"));
+    for words in [&format!("saved up to epoch {epoch}"), "--resume"] {
+        assert!(outcome.stderr.contains(words), "{}", outcome.stderr);
+    }
+}
+
+#[test]
+fn what_to_resume_from_is_not_replaced_by_a_fresh_start_when_it_is_lost_or_changed() {
+    let place = with_settings();
+    let line = "train detector --config three.toml --data data --run r";
+    place.line(line).success();
+    let weights = fs::read(place.path("r/detector/best.safetensors")).unwrap();
+    let state = place.path("r/detector/resume/epoch-0003/state.json");
+    let text = fs::read_to_string(&state).unwrap();
+    fs::write(&state, text.replace("\"step\": ", "\"step\": 1")).unwrap();
+    place
+        .line(&format!("{line} --resume"))
+        .error_says(&["state.json", "damaged"]);
+    fs::remove_file(&state).unwrap();
+    place
+        .line(&format!("{line} --resume"))
+        .error_says(&["nothing to go on from", "--weights"]);
+    fs::remove_dir_all(place.path("r/detector/resume")).unwrap();
+    place
+        .line(&format!("{line} --resume"))
+        .error_says(&["nothing to go on from", "--weights"]);
+    let after = fs::read(place.path("r/detector/best.safetensors")).unwrap();
+    assert_eq!(after, weights);
+}
+
+#[test]
+fn a_second_network_leaves_the_first_ones_settings_and_dataset_alone() {
+    let place = with_settings();
+    // Digits that a careless reader of numbers changes in the last bit.
+    let line = "train detector --config three.toml --data data --run r --detector-epochs 2 \
+                --learning-rate 0.0019433567169983138";
+    place.line(line).success();
+    let line = "train distance --config three.toml --data data --run r";
+    place
+        .line(&format!("{line} --seed 9"))
+        .error_says(&["seed was 1 and is 9", "--run"]);
+    place.line(line).success();
+    let config = fs::read_to_string(place.path("r/config.json")).unwrap();
+    let config: serde_json::Value = serde_json::from_str(&config).unwrap();
+    assert_eq!(config["config"]["detector"]["epochs"], 2);
+    assert_eq!(config["config"]["distance"]["epochs"], 3);
+    place.line("train --run r --resume").success();
+
+    // Another dataset is noticed for the network that was started on this one.
+    let rows = fs::read_to_string(place.path("data/frames.csv")).unwrap();
+    place.write("data/frames.csv", rows.replacen(",val,", ",train,", 1));
+    place.line("train detector --run r --resume").error_says(&[
+        "no longer the dataset",
+        "detector",
+        "--weights",
+    ]);
 }
 
 fn assert_learnt_alike(wanted: &[(String, Vec<u8>)], got: &[(String, Vec<u8>)], kills: u32) {
@@ -236,16 +366,32 @@ fn training_stops_early_and_keeps_the_last_epochs() {
         THREE_EPOCHS
             .replace(
                 "[distance]",
-                "[distance]\npatience = 1\nkeep_last = 2\nlearning_rate = 1e-9",
+                "[distance]\npatience = 2\nkeep_last = 2\nlearning_rate = 1e-9\nvalidate_every = 3",
             )
-            .replace("epochs = 3", "epochs = 9"),
+            .replace("epochs = 3", "epochs = 19"),
     );
     place
         .line("train distance --config early.toml --data data --run r")
         .success();
     let table = fs::read_to_string(place.path("r/metrics.csv")).unwrap();
-    let epochs = table.lines().count() - 1;
-    assert!(epochs < 9, "{table}");
+    let mut rows = csv::Reader::from_reader(table.as_bytes());
+    let columns = rows.headers().unwrap().clone();
+    let column = columns
+        .iter()
+        .position(|name| name == "mre_percent")
+        .unwrap();
+    let errors: Vec<Option<f64>> = rows
+        .records()
+        .map(|row| row.unwrap()[column].parse().ok())
+        .collect();
+    let epochs = errors.len();
+    assert!(epochs < 19, "{table}");
+    // Only validated epochs can be in vain: the run ends with the first that is no better.
+    assert_eq!(epochs % 3, 0, "{table}");
+    let validated: Vec<f64> = errors.iter().flatten().copied().collect();
+    let (last, before) = validated.split_last().unwrap();
+    assert!(before.windows(2).all(|pair| pair[1] < pair[0]), "{table}");
+    assert!(last >= before.last().unwrap(), "{table}");
     let kept = |epoch: usize| {
         place
             .path(format!("r/distance/epoch-{epoch:04}.safetensors"))
