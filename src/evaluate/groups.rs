@@ -75,7 +75,8 @@ impl Groups {
         let most = distances().fold(0.0, f64::max);
         let least = distances().fold(most, f64::min);
         // Vehicles that are all at about one distance are told apart by nothing finer.
-        let span = (most - least).max(most / BINS);
+        let apart = most - least;
+        let span = if apart < most / BINS { most } else { apart };
         Self {
             step_m: round_step(span / BINS),
         }

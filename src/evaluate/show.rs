@@ -42,7 +42,7 @@ impl fmt::Display for Evaluation {
         } = &self.bootstrap;
         writeln!(
             f,
-            "in brackets: where 95 % of {draws} draws of whole {unit}s (of {units}) lie\n"
+            "in brackets: where 95 % of {draws} draws of whole {unit}s (of {units}) lie"
         )?;
         if let Some(detection) = &self.detection {
             detector(f, detection)?;
@@ -106,12 +106,12 @@ fn detector(f: &mut fmt::Formatter<'_>, figures: &DetectionFigures) -> fmt::Resu
     if *targets == 0 {
         return writeln!(
             f,
-            "detector        {images} images with no boxes: nothing to find"
+            "\ndetector        {images} images with no boxes: nothing to find"
         );
     }
     writeln!(
         f,
-        "detector        images  boxes  precision  recall     F1  mAP50                 mAP50-95"
+        "\ndetector        images  boxes  precision  recall     F1  mAP50                 mAP50-95"
     )?;
     writeln!(
         f,

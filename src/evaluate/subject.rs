@@ -131,16 +131,12 @@ impl Subject {
         }
     }
 
-    /// The same for the cameras of a dataset, saying what that leaves uncovered and what cannot be
-    /// judged.
+    /// The same for the cameras of a dataset, saying what that leaves uncovered.
     ///
     /// # Errors
     /// Those of [`Subject::refuse_unjudgeable`].
     pub fn behind_rig_of(self, dataset: &StereoDataset, progress: &dyn Progress) -> Result<Self> {
         self.refuse_unjudgeable(dataset)?;
-        if let Some(left_out) = self.networks().left_out() {
-            progress.note(left_out);
-        }
         let rig = dataset.rig();
         let Some(estimator) = self.estimator().filter(|_| dataset.info.stereo) else {
             return Ok(self);

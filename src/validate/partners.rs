@@ -20,6 +20,9 @@ const SURFACE_PART: f64 = 0.25;
 /// See [`SURFACE_PART`].
 const SURFACE_PX: f64 = 2.0;
 
+/// A box of less than this part of its width is cut off by the border.
+const WHOLE: f64 = 0.99;
+
 /// The vehicles of a frame that lack a label which the other image calls for, one finding a vehicle.
 pub(super) fn check(rig: &StereoRig, frame: &Frame, images: [&RgbImage; 2]) -> Vec<Finding> {
     let Some(right) = &frame.right else {
@@ -73,10 +76,14 @@ fn missing_partner(
         ray[2],
     ];
     let expected_px = rig.disparity_px(depth_m(rig, ray_of_left, label.distance_m?));
+    let box_pixel = label
+        .box_pixel
+        .clipped(f64::from(camera.width), f64::from(camera.height));
+    if !box_pixel.is_valid() {
+        return None;
+    }
     let seen = [Detection {
-        box_pixel: label
-            .box_pixel
-            .clipped(f64::from(camera.width), f64::from(camera.height)),
+        box_pixel,
         score: 1.0,
         class: 0,
     }];
@@ -85,13 +92,16 @@ fn missing_partner(
         Side::Left => search(images, &seen, rig, &config),
         Side::Right => search_from_right(images, &seen, rig, &config),
     };
-    let off_px = (found.partners.first()?.disparity_px - expected_px).abs();
-    if off_px > SURFACE_PX + SURFACE_PART * expected_px {
+    let found = found.partners.first()?;
+    let off_px = (found.disparity_px - expected_px).abs();
+    // Whoever labels may leave out what the border cuts off.
+    let is_cut_off = found.box_pixel.width() < WHOLE * box_pixel.width();
+    if off_px > SURFACE_PX + SURFACE_PART * expected_px || is_cut_off {
         return None;
     }
     let kinds: Vec<String> = labels.iter().map(|label| label.kind.to_string()).collect();
     let kinds = kinds.join(" and a ");
-    let x = found.partners[0].box_pixel.center()[0];
+    let x = found.box_pixel.center()[0];
     let reason = format!(
         "vehicle {} has a {kinds} box in the {side} image alone, and the {other} one shows it at x = \
          {x:.0} px",
