@@ -157,6 +157,27 @@ pub fn create_folder(path: impl AsRef<Path>) -> Result<()> {
     fs::create_dir_all(&path).map_err(Error::io("create folder", &path))
 }
 
+/// Something in a folder, by name; None where the folder is missing or empty. Hidden files, such as
+/// a `.gitkeep`, do not count.
+///
+/// # Errors
+/// [`Error::Io`] naming a folder that cannot be read.
+pub fn first_entry(folder: impl AsRef<Path>) -> Result<Option<String>> {
+    let folder = folder.as_ref();
+    if !folder.exists() {
+        return Ok(None);
+    }
+    let mut first: Option<String> = None;
+    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
+        let name = entry.map_err(Error::io("read", folder))?.file_name();
+        let name = name.to_string_lossy().into_owned();
+        if !name.starts_with('.') && first.as_ref().is_none_or(|first| name < *first) {
+            first = Some(name);
+        }
+    }
+    Ok(first)
+}
+
 /// Reads a UTF-8 text file, without the byte order mark that some editors put in front.
 ///
 /// # Errors

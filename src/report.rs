@@ -15,6 +15,7 @@ mod training;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
+use crate::evaluate::Networks;
 use crate::files;
 use crate::page;
 use load::Run;
@@ -45,13 +46,7 @@ pub fn report(runs: &[PathBuf], out: &Path) -> Result<Vec<String>> {
         .collect::<Result<Vec<Run>>>()?;
     let mut missing = Vec::new();
     for run in &runs {
-        if run.evaluations.is_empty() {
-            missing.push(format!(
-                "{} has no evaluation: twinsight evaluate --run {} --data DATASET",
-                run.name,
-                run.folder.display()
-            ));
-        }
+        missing.extend(run.without_evaluation());
         if run.epochs.is_empty() {
             missing.push(format!(
                 "{} has no metrics.csv: no training curves",
@@ -92,19 +87,28 @@ pub fn report(runs: &[PathBuf], out: &Path) -> Result<Vec<String>> {
 fn evaluation_section(run: &Run, evaluation: &load::Evaluated) -> Result<Section> {
     let of = &evaluation.evaluation;
     let mut section = Section::new(format!("{}: {}", run.name, evaluation.name));
+    let settings = match of.networks {
+        Networks::Both => format!(
+            ", pairing {}, confidence above {}",
+            of.pairing_mode, of.confidence
+        ),
+        Networks::Detector => format!(", confidence above {}", of.confidence),
+        Networks::Distance => String::new(),
+    };
     section.notes.push(format!(
-        "{} frames of the split {} of {}; boxes of kind {}, pairing {}, confidence above {}. Bounds: \
-         95 % of {} draws, with replacement, of whole {}s, of which there are {}.",
+        "{} frames of the split {} of {}; boxes of kind {}{settings}. Bounds: 95 % of {} draws, with \
+         replacement, of whole {}s, of which there are {}.",
         of.frames,
         of.split,
         of.data.display(),
         of.box_kind,
-        of.pairing_mode,
-        of.confidence,
         of.bootstrap.draws,
         of.bootstrap.unit,
         of.bootstrap.units,
     ));
+    if let Some(left_out) = of.networks.left_out() {
+        section.notes.push(format!("Judged in part: {left_out}."));
+    }
     if of.left_out > 0 {
         section.notes.push(format!(
             "{} frames could not be read and are left out.",

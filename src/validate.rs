@@ -6,6 +6,7 @@
 
 mod folder;
 mod labels;
+mod partners;
 mod splits;
 mod thumbnail;
 
@@ -32,7 +33,7 @@ pub enum FindingKind {
     Image,
     /// A box or number of one label that cannot be right.
     Label,
-    /// A vehicle that only one camera has although both should see it.
+    /// A vehicle that is labelled in one image alone although the other one shows it.
     Partner,
     /// Two labels of one vehicle whose disparity is not that of its distance.
     Disparity,
@@ -138,6 +139,8 @@ pub struct Validation {
     pub counts: BTreeMap<FindingKind, usize>,
     /// Everything that is wrong, kind by kind.
     pub findings: Vec<Finding>,
+    /// What is right and yet worth knowing.
+    pub notes: Vec<String>,
 }
 
 /// Checks a dataset folder.
@@ -173,6 +176,7 @@ pub fn validate(folder: &Path, progress: &dyn Progress) -> Result<Validation> {
         images: dataset.frames.iter().map(|f| f.images().count()).sum(),
         counts,
         findings,
+        notes: labels::without_distance(&dataset).into_iter().collect(),
     })
 }
 
@@ -206,11 +210,13 @@ fn look_at_frame(dataset: &StereoDataset, frame: &Frame) -> Look {
             )),
         }
     }
-    if let [(_, left), (_, right)] = &decoded[..]
-        && left == right
-    {
-        let reason = "the right image is the left one once more";
-        findings.push(Finding::of_frame(FindingKind::Image, frame, reason));
+    if let [(_, left), (_, right)] = &decoded[..] {
+        if left == right {
+            let reason = "the right image is the left one once more";
+            findings.push(Finding::of_frame(FindingKind::Image, frame, reason));
+        } else {
+            findings.extend(partners::check(dataset.rig(), frame, [left, right]));
+        }
     }
     let left = decoded
         .first()

@@ -7,6 +7,8 @@ mod ablate;
 mod binary;
 #[path = "cli/calibration.rs"]
 mod calibration;
+#[path = "cli/evaluate.rs"]
+mod evaluate;
 #[path = "cli/formats.rs"]
 mod formats;
 #[path = "cli/generate.rs"]

@@ -86,6 +86,7 @@ pub struct Estimate {
     /// Seed of its training; none for a baseline.
     pub seed: Option<u64>,
     /// The frame's number.
+    #[serde(with = "crate::dataset::stamp")]
     pub frame: u64,
     /// The vehicle's number in the frame.
     pub id: u32,

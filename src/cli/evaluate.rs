@@ -21,8 +21,13 @@ use super::{files, stdout, terminal, values};
 /// that need none: box size, triangulated box centres, sub-pixel matching, and size and matching
 /// together, their constants fitted on the training split.
 ///
+/// A run with one network has that one judged: a detector by what it finds, in single images too, a
+/// distance network by labelled boxes. The dataset must have the kind of box that the run learnt.
+///
 /// Every table is written as CSV and as JSON into `evaluation/DATASET-SPLIT` in the run's folder,
-/// with pictures of the best and the worst; `twinsight report` makes a page of them.
+/// with pictures of the best and the worst; `twinsight report` makes a page of them. Another
+/// `--pairing` or `--confidence` than usual has a folder of its own, such as
+/// `quick-val-detect-0.30`.
 #[derive(Debug, Args)]
 #[command(after_long_help = EXAMPLES)]
 pub struct EvaluateArgs {
@@ -49,10 +54,11 @@ pub struct EvaluateArgs {
     /// at 15 to 200 m under four suns from three sides; frames that the dataset lacks are named
     #[arg(long, value_name = "TEST", value_enum, conflicts_with = "split")]
     protocol: Option<ProtocolName>,
-    /// Folder for the tables and pictures [default: evaluation/DATASET-SPLIT in the run's folder]
+    /// Folder for the tables and pictures [default: evaluation/DATASET-SPLIT in the run's folder,
+    /// with the pairing and confidence where they are not the usual ones]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Write the figures to a JSON file as well
+    /// Write the figures to a JSON file as well; `-` prints them instead of the tables
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
@@ -66,6 +72,10 @@ Examples:
   The validation frames, with a file for other programs:
 
     twinsight evaluate --run checkpoints/quick --data datasets/quick --split val --json val.json
+
+  Another way of pairing, in a folder of its own:
+
+    twinsight evaluate --run checkpoints/quick --data datasets/quick --split val --pairing detect --confidence 0.30
 
   The published test, the published figures beside ours:
 
@@ -85,7 +95,12 @@ const NO_PROTOCOL: &str = "the paper's test: none of its 108 frames are in this 
 impl EvaluateArgs {
     /// Evaluates a run.
     pub fn run(&self, quiet: bool) -> Result<()> {
-        if let Some(path) = &self.json {
+        let is_printed = self
+            .json
+            .as_ref()
+            .is_some_and(|path| path.as_os_str() == "-");
+        let json_path = self.json.as_ref().filter(|_| !is_printed);
+        if let Some(path) = json_path {
             files::check_target(path)?;
         }
         let request = EvaluateRequest {
@@ -103,10 +118,15 @@ impl EvaluateArgs {
             out: self.out.as_deref(),
         };
         let evaluation = terminal::with_progress(quiet, |progress| evaluate(&request, progress))?;
-        if let Some(path) = &self.json {
-            let json = serde_json::to_string_pretty(&evaluation)
-                .map_err(|error| Error::io("write", path)(error.into()))?;
-            files::write(path, format!("{json}\n").as_bytes())?;
+        if self.json.is_some() {
+            let json = serde_json::to_string_pretty(&evaluation).map_err(|error| {
+                Error::value("--json", error.to_string(), "report this as a bug")
+            })?;
+            let json = format!("{json}\n");
+            match json_path {
+                Some(path) => files::write(path, json.as_bytes())?,
+                None => return stdout::print(&json),
+            }
         }
         let mut text = evaluation.to_string();
         if self.protocol.is_some() {

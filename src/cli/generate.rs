@@ -25,12 +25,16 @@ pub struct GenerateArgs {
     /// three minutes, `paper` has 7000 frames of 2048x1152 up to 200 m and takes hours
     #[arg(long, value_parser = presets::names(), default_value = presets::DEFAULT, conflicts_with = "config")]
     preset: String,
-    /// Settings from a TOML file; what it leaves out is as in `quick`, without test frames
+    /// Settings from a TOML file; what it leaves out is as in `quick`, but for the vehicles, which
+    /// then have all 11 bodies and 18 paints (`quick` has 7 and 14), and without test frames
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Number of training and validation frames; those of the test protocol come on top
     #[arg(long, value_name = "N")]
     frames: Option<u32>,
+    /// Make no frames of the test protocol
+    #[arg(long)]
+    no_test: bool,
     /// Vehicles of a scene: a number, or a range such as `4-8`; one of them is the target
     #[arg(long, value_name = "N", value_parser = vehicles)]
     vehicles: Option<VehicleCount>,
@@ -40,7 +44,7 @@ pub struct GenerateArgs {
     /// Add N training and validation frames, with scenes of their own, to the finished dataset in
     /// `--out`, with the settings that made it; what is there stays as it is
     #[arg(long, value_name = "N", requires = "out", conflicts_with_all =
-        ["preset", "config", "frames", "vehicles", "outputs", "size", "seed"])]
+        ["preset", "config", "frames", "no_test", "vehicles", "outputs", "size", "hfov_deg", "baseline_m", "seed"])]
     add: Option<u32>,
     /// Folder of your own vehicles and props: `vehicles/*.glb` or `*.gltf`, `props/*.glb`, and what
     /// there is to say about them in `assets.toml`; datasets/README.md explains it. With `--add`,
@@ -50,6 +54,12 @@ pub struct GenerateArgs {
     /// Size of the images, pixels
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     size: Option<ImageSize>,
+    /// Horizontal field of view of both cameras, degrees, 10 to 140
+    #[arg(long, value_name = "DEG")]
+    hfov_deg: Option<f64>,
+    /// Distance between the cameras, metres, 0.01 to 5
+    #[arg(long, value_name = "M")]
+    baseline_m: Option<f64>,
     /// Everything random follows from it
     #[arg(long)]
     seed: Option<u64>,
@@ -68,6 +78,10 @@ Examples:
   The paper's dataset, smaller:
 
     twinsight generate --preset paper --frames 1000 --size 1024x576 --out datasets/half
+
+  Training data for your own cameras, without test frames:
+
+    twinsight generate --size 1280x720 --hfov-deg 70 --baseline-m 0.12 --no-test --out datasets/mine
 
   Six vehicles in a scene, with depth and instance maps:
 
@@ -140,6 +154,15 @@ impl GenerateArgs {
         if let Some(size) = self.size {
             config.width = size.width;
             config.height = size.height;
+        }
+        if let Some(hfov_deg) = self.hfov_deg {
+            config.hfov_deg = hfov_deg;
+        }
+        if let Some(baseline_m) = self.baseline_m {
+            config.baseline_m = baseline_m;
+        }
+        if self.no_test {
+            config.test = None;
         }
         if let Some(seed) = self.seed {
             config.seed = seed;

@@ -17,7 +17,7 @@ const FOUND: u8 = 1;
 ///
 /// Looks at every file: rows and labels, images, whether boxes lie in the image, whether the
 /// disparity of each labelled vehicle is that of its distance and both boxes are on the same rows,
-/// scenes and near-duplicate pictures that two splits share, composites, and files that belong to
+/// vehicles that one image shows without a label, scenes and near-duplicate pictures that two splits share, composites, and files that belong to
 /// nothing.
 ///
 /// Exit code 0: nothing was found. 1: something was. 2: the folder is no dataset, or no frame of it
@@ -67,6 +67,9 @@ fn report(validation: &Validation) -> String {
     for finding in &validation.findings {
         // Writing to a String cannot fail.
         writeln!(text, "{finding}").ok();
+    }
+    for note in &validation.notes {
+        writeln!(text, "note: {note}").ok();
     }
     let (frames, images) = (validation.frames, validation.images);
     let dataset = validation.dataset.display();

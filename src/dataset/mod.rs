@@ -18,6 +18,7 @@ mod prepare;
 mod reader;
 mod resplit;
 mod source;
+pub(crate) mod stamp;
 
 pub(crate) use cache::DecodedCache;
 pub use composite::{CompositeSize, composite, composite_into_planes, geometry_vector};

@@ -15,6 +15,7 @@ use crate::files;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ObjectRow {
     /// The frame's number.
+    #[serde(with = "super::stamp")]
     pub stamp: u64,
     /// The vehicle's number in the frame's labels.
     pub id: u32,

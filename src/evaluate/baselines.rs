@@ -20,6 +20,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::training_data::TrainingData;
 use super::vehicles::Estimates;
 use crate::dataset::{BoxKind, Frame, Split, StereoDataset};
 use crate::error::Result;
@@ -163,36 +164,35 @@ pub(super) fn fit_for_run(
     kind: BoxKind,
     progress: &dyn Progress,
 ) -> Result<Option<Baselines>> {
-    let own = super::training_dataset(run);
-    if let Some((folder, _)) = &own
-        && is_same(folder, &evaluated.folder)
-    {
-        return Baselines::fit(evaluated, kind, progress);
-    }
-    let opened = own.and_then(|(folder, config)| {
-        let mut dataset = StereoDataset::open(folder).ok()?;
-        if let Some(split) = config.split {
-            dataset.resplit(split, config.seed).ok()?;
+    let why = match TrainingData::find(run, evaluated) {
+        TrainingData::Evaluated => return Baselines::fit(evaluated, kind, progress),
+        TrainingData::Other(dataset) => {
+            let folder = dataset.folder.display();
+            if let Some(baselines) = Baselines::fit(&dataset, kind, progress)? {
+                progress.note(&format!(
+                    "the baselines are fitted on the training split of {folder}, which the run was \
+                     trained on"
+                ));
+                return Ok(Some(baselines));
+            }
+            format!("{folder}, which the run was trained on, has nothing to fit the baselines on")
         }
-        Some(dataset)
-    });
-    if let Some(dataset) = opened
-        && let Some(baselines) = Baselines::fit(&dataset, kind, progress)?
-    {
-        return Ok(Some(baselines));
-    }
+        TrainingData::Lost(path) => format!(
+            "the dataset that the run was trained on ({}) is not where it was, or has changed",
+            path.display()
+        ),
+        TrainingData::Unknown => "the run does not say which dataset it was trained on".to_owned(),
+    };
     let fitted = Baselines::fit(evaluated, kind, progress)?;
-    progress.note(if fitted.is_some() {
-        "the dataset that the run was trained on is not where it was: the baselines are fitted on \
-         the training split of this one, which favours them"
+    progress.note(&if fitted.is_some() {
+        format!(
+            "{why}: the baselines are fitted on the training split of {}, which favours them",
+            evaluated.folder.display()
+        )
     } else {
-        "there is no training split to fit the baselines on: they are left out"
+        "there is no training split to fit the baselines on: they are left out".to_owned()
     });
     Ok(fitted)
-}
-
-fn is_same(a: &Path, b: &Path) -> bool {
-    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// Matches the vehicles of evenly chosen frames.

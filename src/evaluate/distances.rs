@@ -196,6 +196,10 @@ pub(super) fn rows(
         if known == 0 || (grouping == Grouping::Class && known == 1) {
             continue;
         }
+        // Without a single true distance there are no bins.
+        if vehicles.is_empty() && grouping == Grouping::Distance {
+            continue;
+        }
         let of_false = |key: &(usize, String)| {
             let is_here = |v: &&FalseVehicle| groups.of_false(grouping, v).as_ref() == Some(key);
             (grouping != Grouping::View).then(|| false_vehicles.iter().filter(is_here).count())

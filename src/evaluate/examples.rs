@@ -65,6 +65,7 @@ pub struct ExampleRow {
     /// The picture, from the evaluation's folder.
     pub picture: String,
     /// The frame's number.
+    #[serde(with = "crate::dataset::stamp")]
     pub frame: u64,
     /// The vehicle's number in the frame; empty for one that is not there.
     pub id: Option<u32>,

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::vehicles::{FalseVehicle, VehicleRow};
 use crate::dataset::View;
+use crate::page::charts::round_step;
 use crate::world::Sun;
 
 /// Distance bins, about.
@@ -70,16 +71,14 @@ pub(crate) struct Groups {
 impl Groups {
     /// Bins for the true distances of these vehicles.
     pub fn new(vehicles: &[VehicleRow]) -> Self {
-        let most = vehicles
-            .iter()
-            .map(|v| v.distance_m)
-            .fold(f64::NEG_INFINITY, f64::max);
-        let least = vehicles
-            .iter()
-            .map(|v| v.distance_m)
-            .fold(f64::INFINITY, f64::min);
+        let distances = || vehicles.iter().map(|v| v.distance_m);
+        let most = distances().fold(0.0, f64::max);
+        let least = distances().fold(most, f64::min);
+        // Vehicles that are all at about one distance are told apart by nothing finer.
+        let apart = most - least;
+        let span = if apart < most / BINS { most } else { apart };
         Self {
-            step_m: crate::page::charts::round_step((most - least).max(0.0) / BINS),
+            step_m: round_step(span / BINS),
         }
     }
 
@@ -120,7 +119,9 @@ impl Groups {
 
     fn bin(&self, distance_m: f64) -> Key {
         let bin = (distance_m / self.step_m).floor().max(0.0);
-        let name = format!("{}-{} m", bin * self.step_m, (bin + 1.0) * self.step_m);
+        // A multiple of a tenth is not exactly one in binary.
+        let end = |bin: f64| (bin * self.step_m * 1e6).round() / 1e6;
+        let name = format!("{}-{} m", end(bin), end(bin + 1.0));
         (bin as usize, name)
     }
 }
@@ -163,6 +164,13 @@ mod tests {
         assert_eq!(box_size(3.0).1, "below 16 px");
         assert_eq!(box_size(16.0), (1, "16-32 px".to_owned()));
         assert_eq!(box_size(999.0), (5, "256 px and more".to_owned()));
+    }
+
+    #[test]
+    fn bins_of_a_fraction_of_a_metre_have_short_names() {
+        let groups = Groups { step_m: 0.1 };
+        assert_eq!(groups.bin(12.4181).1, "12.4-12.5 m");
+        assert_eq!(groups.bin(0.35).1, "0.3-0.4 m");
     }
 
     #[test]

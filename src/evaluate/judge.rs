@@ -7,16 +7,17 @@ use rayon::prelude::*;
 use super::baselines::Baselines;
 use super::detection::add_image;
 use super::match_vehicles;
+use super::subject::Subject;
 use super::vehicles::{Boxes, Estimates, FalseVehicle, Places};
 use crate::dataset::{BoxKind, Frame, Problem, Side, StereoDataset, StereoLabel};
 use crate::detector::nms::NmsConfig;
-use crate::detector::{Detection, LetterboxedCandidates};
+use crate::detector::{Detection, LetterboxedCandidates, VehicleDetector};
 use crate::error::{Error, Result};
 use crate::geometry::{PixelBox, StereoRig};
 use crate::metrics::{Confusion, DetectionMetrics, Target, is_covered};
-use crate::pipeline::{StereoRanger, Vehicle};
+use crate::pipeline::Vehicle;
 use crate::progress::Progress;
-use crate::ranging::Sighting;
+use crate::ranging::{DistanceEstimator, Sighting};
 
 /// Frames that are decoded and detected together.
 const BATCH: usize = 8;
@@ -46,9 +47,9 @@ pub(super) struct Judged {
 
 /// What judges, and on what.
 pub(super) struct Judge<'a> {
-    pub ranger: &'a StereoRanger,
-    pub dataset: &'a StereoDataset,
-    pub baselines: Option<&'a Baselines>,
+    subject: &'a Subject,
+    dataset: &'a StereoDataset,
+    baselines: Option<&'a Baselines>,
     kind: BoxKind,
     places: Places<'a>,
 }
@@ -69,13 +70,13 @@ struct Paired {
 impl<'a> Judge<'a> {
     /// Prepares to judge.
     pub fn new(
-        ranger: &'a StereoRanger,
+        subject: &'a Subject,
         dataset: &'a StereoDataset,
         baselines: Option<&'a Baselines>,
     ) -> Self {
-        let kind = ranger.detector().header().box_kind;
+        let kind = subject.box_kind();
         Self {
-            ranger,
+            subject,
             dataset,
             baselines,
             kind,
@@ -156,9 +157,13 @@ impl<'a> Judge<'a> {
                 }
             }
         }
-        self.detect(&mut seen, judged)?;
-        if self.dataset.info.stereo {
-            self.range(&seen, judged)?;
+        if let Some(detector) = self.subject.detector() {
+            self.detect(detector, &mut seen, judged)?;
+        }
+        if let Some(estimator) = self.subject.estimator()
+            && self.dataset.info.stereo
+        {
+            self.range(estimator, &seen, judged)?;
         }
         for seen in &seen {
             judged
@@ -169,11 +174,15 @@ impl<'a> Judge<'a> {
     }
 
     /// Runs the detector, with nearly no confidence asked for, and counts.
-    fn detect(&self, seen: &mut [Seen], judged: &mut Judged) -> Result<()> {
-        let detector = self.ranger.detector();
+    fn detect(
+        &self,
+        detector: &VehicleDetector,
+        seen: &mut [Seen],
+        judged: &mut Judged,
+    ) -> Result<()> {
         let images: Vec<&RgbImage> = seen.iter().flat_map(|seen| &seen.images).collect();
         let candidates = detector.detect_letterboxed(&images, &NmsConfig::validation())?;
-        let confident = self.confident(&images, &candidates)?;
+        let confident = self.confident(detector, &images, &candidates)?;
         let mut results = candidates.iter().zip(confident);
         for seen in seen {
             for (side, labelled) in seen.frame.images() {
@@ -209,10 +218,11 @@ impl<'a> Judge<'a> {
     /// higher floor, which only cuts off the end of the list.
     fn confident(
         &self,
+        detector: &VehicleDetector,
         images: &[&RgbImage],
         candidates: &[LetterboxedCandidates],
     ) -> Result<Vec<Vec<Detection>>> {
-        let options = self.ranger.options();
+        let options = self.subject.options();
         let is_same = self.dataset.classes().len() == 1
             && options.iou == NmsConfig::validation().iou
             && options.confidence >= NmsConfig::validation().confidence;
@@ -222,7 +232,7 @@ impl<'a> Judge<'a> {
                 iou: options.iou,
                 ..NmsConfig::prediction()
             };
-            return self.ranger.detector().detect(images, &nms);
+            return detector.detect(images, &nms);
         }
         let cut = |candidates: &LetterboxedCandidates| {
             let mut detections = candidates.detections();
@@ -233,17 +243,26 @@ impl<'a> Judge<'a> {
     }
 
     /// Estimates the distances of labelled and of detected vehicles, all frames at once, and
-    /// matches them. Detected ones go the pipeline's way.
-    fn range(&self, seen: &[Seen], judged: &mut Judged) -> Result<()> {
+    /// matches them. Detected ones go the pipeline's way; without a detector there are none.
+    fn range(
+        &self,
+        estimator: &DistanceEstimator,
+        seen: &[Seen],
+        judged: &mut Judged,
+    ) -> Result<()> {
         let rig = self.dataset.rig();
-        let own_rig = self.ranger.rig_for((rig.left.width, rig.left.height))?;
+        let ranger = self.subject.ranger();
+        let own_rig = match ranger {
+            Some(ranger) => ranger.rig_for((rig.left.width, rig.left.height))?,
+            None => *rig,
+        };
         let paired: Vec<Paired> = seen
             .par_iter()
             .map(|seen| Paired {
                 labels: seen.frame.vehicles(self.kind),
-                pairs: self
-                    .ranger
-                    .pairs(pair_of(seen), seen.found.clone(), &own_rig),
+                pairs: ranger.map_or_else(Vec::new, |ranger| {
+                    ranger.pairs(pair_of(seen), seen.found.clone(), &own_rig)
+                }),
             })
             .collect();
         let frames = || seen.iter().zip(&paired);
@@ -259,10 +278,10 @@ impl<'a> Judge<'a> {
             sightings(seen, boxes)
         });
         let mut of_labels = self
-            .estimates(&labelled.collect::<Vec<_>>(), rig)?
+            .estimates(estimator, &labelled.collect::<Vec<_>>(), rig)?
             .into_iter();
         let mut of_pairs = self
-            .estimates(&detected.collect::<Vec<_>>(), &own_rig)?
+            .estimates(estimator, &detected.collect::<Vec<_>>(), &own_rig)?
             .into_iter();
         for (seen, paired) in frames() {
             let of_labels: Vec<_> = of_labels.by_ref().take(paired.labels.len()).collect();
@@ -273,8 +292,13 @@ impl<'a> Judge<'a> {
     }
 
     /// What the network, which is given this rig, and the baselines say.
-    fn estimates(&self, sightings: &[Sighting], rig: &StereoRig) -> Result<Vec<Estimates>> {
-        let network_m = self.ranger.estimator().estimate(sightings, rig)?;
+    fn estimates(
+        &self,
+        estimator: &DistanceEstimator,
+        sightings: &[Sighting],
+        rig: &StereoRig,
+    ) -> Result<Vec<Estimates>> {
+        let network_m = estimator.estimate(sightings, rig)?;
         let estimates = sightings.par_iter().zip(network_m);
         Ok(estimates
             .map(|(sighting, network_m)| {
@@ -295,7 +319,7 @@ impl<'a> Judge<'a> {
         of_pairs: Vec<Estimates>,
         judged: &mut Judged,
     ) {
-        let classes = &self.ranger.detector().header().classes;
+        let classes = self.dataset.classes();
         let mut found: Vec<(Vehicle, Estimates)> = pairs
             .iter()
             .zip(of_pairs)

@@ -10,13 +10,16 @@ mod detection;
 mod detections;
 mod distances;
 mod examples;
+mod figures;
 mod groups;
 mod judge;
 mod latency;
 mod pipeline;
 mod protocol;
 mod show;
+mod subject;
 mod tables;
+mod training_data;
 mod vehicles;
 
 pub use baselines::Baselines;
@@ -24,21 +27,21 @@ pub use detection::detection_metrics;
 pub use detections::{ClassRow, CocoRow, ConfusionRow, CurveRow};
 pub use distances::{DifferenceRow, DistanceRow, RunDifference, paired_difference};
 pub use examples::{ExampleKind, ExampleRow};
+pub use figures::{DetectionFigures, PipelineFigures};
 pub use groups::Grouping;
 pub use latency::LatencyRow;
 pub use pipeline::{
-    Bootstrap, DetectionFigures, EvaluateRequest, Evaluation, PipelineFigures, evaluate,
-    evaluate_dataset, match_vehicles,
+    Bootstrap, EvaluateRequest, Evaluation, evaluate, evaluate_dataset, match_vehicles,
 };
 pub use protocol::{MethodRow, MissingCell, Protocol, ProtocolRow};
 pub use show::{LABEL_NOTE, protocol_text};
+pub use subject::Networks;
 pub use tables::{Tables, evaluations, read};
 pub use vehicles::{Boxes, Estimates, FalseVehicle, Method, VehicleRow};
 
 pub(crate) use distances::{Drawing, row};
 pub(crate) use groups::Groups;
 pub(crate) use pipeline::DRAWS;
-use pipeline::training_dataset;
 pub(crate) use show::{number, percent, protocol_cells};
 pub(crate) use tables::{write_json, write_table};
 pub(crate) use vehicles::Places;

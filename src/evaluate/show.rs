@@ -5,6 +5,7 @@ use std::fmt::{self, Write as _};
 use super::distances::{DifferenceRow, DistanceRow};
 use super::groups::Grouping;
 use super::protocol::{Protocol, ProtocolRow};
+use super::subject::Networks;
 use super::vehicles::{Boxes, Method};
 use super::{Bootstrap, DetectionFigures, Evaluation, PipelineFigures};
 use crate::dataset::BoxKind;
@@ -16,11 +17,19 @@ pub const LABEL_NOTE: &str = "Labelled square boxes have their centres where the
 
 impl fmt::Display for Evaluation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            f,
-            "split {}: {} frames, pairing {}, confidence {}",
-            self.split, self.frames, self.pairing_mode, self.confidence
-        )?;
+        write!(f, "split {}: {} frames", self.split, self.frames)?;
+        match self.networks {
+            Networks::Both => writeln!(
+                f,
+                ", pairing {}, confidence {}",
+                self.pairing_mode, self.confidence
+            )?,
+            Networks::Detector => writeln!(f, ", confidence {}", self.confidence)?,
+            Networks::Distance => writeln!(f)?,
+        }
+        if let Some(left_out) = self.networks.left_out() {
+            writeln!(f, "{left_out}")?;
+        }
         if self.left_out > 0 {
             writeln!(
                 f,
@@ -33,9 +42,11 @@ impl fmt::Display for Evaluation {
         } = &self.bootstrap;
         writeln!(
             f,
-            "in brackets: where 95 % of {draws} draws of whole {unit}s (of {units}) lie\n"
+            "in brackets: where 95 % of {draws} draws of whole {unit}s (of {units}) lie"
         )?;
-        detector(f, &self.detection)?;
+        if let Some(detection) = &self.detection {
+            detector(f, detection)?;
+        }
         for boxes in Boxes::ALL {
             methods(f, boxes, &self.tables.distance)?;
             if boxes == Boxes::True && self.box_kind == BoxKind::Sphere && self.baselines.is_some()
@@ -49,7 +60,9 @@ impl fmt::Display for Evaluation {
                 groups(f, grouping, &self.tables.distance)?;
             }
         }
-        pipeline(f, &self.pipeline)?;
+        if let Some(figures) = &self.pipeline {
+            pipeline(f, figures)?;
+        }
         write!(f, "\ntables: {}", self.folder.display())
     }
 }
@@ -90,9 +103,15 @@ fn detector(f: &mut fmt::Formatter<'_>, figures: &DetectionFigures) -> fmt::Resu
         map50_95,
         ..
     } = figures;
+    if *targets == 0 {
+        return writeln!(
+            f,
+            "\ndetector        {images} images with no boxes: nothing to find"
+        );
+    }
     writeln!(
         f,
-        "detector        images  boxes  precision  recall     F1  mAP50                 mAP50-95"
+        "\ndetector        images  boxes  precision  recall     F1  mAP50                 mAP50-95"
     )?;
     writeln!(
         f,
@@ -168,28 +187,40 @@ fn groups(f: &mut fmt::Formatter<'_>, grouping: Grouping, rows: &[DistanceRow]) 
     if of(Boxes::True).next().is_none() {
         return Ok(());
     }
-    writeln!(
+    write!(
         f,
-        "\n{:<15}  vehicles   MAE m   MRE %  bias m | pipeline: found  missed  false   MAE m   MRE %",
+        "\n{:<15}  vehicles   MAE m   MRE %  bias m",
         format!("by {}", grouping.name())
     )?;
-    for (of_labels, of_pipeline) in of(Boxes::True).zip(of(Boxes::Pipeline)) {
-        writeln!(
+    // A run without a detector has no such rows.
+    let mut of_pipeline = of(Boxes::Pipeline).peekable();
+    if of_pipeline.peek().is_some() {
+        write!(f, " | pipeline: found  missed  false   MAE m   MRE %")?;
+    }
+    writeln!(f)?;
+    for row in of(Boxes::True) {
+        write!(
             f,
-            "{:<15}  {:>8}  {:>6}  {:>6}  {:>6} |           {:>5}  {:>6}  {:>5}  {:>6}  {:>6}",
-            of_labels.group,
-            of_labels.vehicles,
-            number(of_labels.mae_m, 2),
-            number(of_labels.mre_percent, 1),
-            number(of_labels.bias_m, 2),
-            of_pipeline.answered,
-            of_pipeline.unanswered,
-            of_pipeline
-                .false_vehicles
-                .map_or_else(|| "-".to_owned(), |n| n.to_string()),
-            number(of_pipeline.mae_m, 2),
-            number(of_pipeline.mre_percent, 1),
+            "{:<15}  {:>8}  {:>6}  {:>6}  {:>6}",
+            row.group,
+            row.vehicles,
+            number(row.mae_m, 2),
+            number(row.mre_percent, 1),
+            number(row.bias_m, 2),
         )?;
+        if let Some(row) = of_pipeline.next() {
+            write!(
+                f,
+                " |           {:>5}  {:>6}  {:>5}  {:>6}  {:>6}",
+                row.answered,
+                row.unanswered,
+                row.false_vehicles
+                    .map_or_else(|| "-".to_owned(), |n| n.to_string()),
+                number(row.mae_m, 2),
+                number(row.mre_percent, 1),
+            )?;
+        }
+        writeln!(f)?;
     }
     Ok(())
 }
@@ -227,6 +258,14 @@ fn write_protocol(text: &mut String, protocol: &Protocol) -> fmt::Result {
         }
     )?;
     for boxes in Boxes::ALL {
+        let mut rows = protocol
+            .rows
+            .iter()
+            .filter(|row| row.boxes == boxes)
+            .peekable();
+        if rows.peek().is_none() {
+            continue;
+        }
         writeln!(
             text,
             "\n{:<10}  mean estimate by sun, m           | of the means, as the paper | single frames |",
@@ -236,7 +275,7 @@ fn write_protocol(text: &mut String, protocol: &Protocol) -> fmt::Result {
             text,
             "true m    sunrise morning    noon  aftern. | RMSE m  paper  MRE % paper | RMSE m  MRE % | missed  false"
         )?;
-        for row in protocol.rows.iter().filter(|row| row.boxes == boxes) {
+        for row in rows {
             protocol_row(text, row)?;
         }
     }

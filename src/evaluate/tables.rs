@@ -11,9 +11,11 @@ use super::distances::{DifferenceRow, DistanceRow};
 use super::examples::ExampleRow;
 use super::latency::LatencyRow;
 use super::protocol::Protocol;
-use super::vehicles::{FalseVehicle, VehicleRow};
+use super::vehicles::{Boxes, FalseVehicle, VehicleRow};
+use crate::dataset::Split;
 use crate::error::{Error, Result};
 use crate::files;
+use crate::pipeline::PredictOptions;
 
 /// Every table of an evaluation.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -42,18 +44,48 @@ pub struct Tables {
     pub examples: Vec<ExampleRow>,
 }
 
+impl Tables {
+    /// Leaves out the rows of a pipeline that a run without one of its networks does not have.
+    pub(super) fn leave_out_pipeline(&mut self) {
+        self.distance.retain(|row| row.boxes == Boxes::True);
+        if let Some(protocol) = &mut self.protocol {
+            protocol.rows.retain(|row| row.boxes == Boxes::True);
+            protocol.methods.retain(|row| row.boxes == Boxes::True);
+        }
+    }
+}
+
 /// A run's folder of evaluations.
 const EVALUATIONS: &str = "evaluation";
 
 /// The figures that are not a table.
 const FIGURES: &str = "evaluation.json";
 
-/// Where an evaluation is written unless somebody says otherwise:
-/// `<run>/evaluation/<dataset>-<split>`.
-pub(super) fn default_folder(run: &Path, data: &Path, split: crate::dataset::Split) -> PathBuf {
+/// Where an evaluation is written unless somebody says otherwise: `<run>/evaluation/<dataset>-<split>`
+/// and what is not as usual, such as `quick-val-detect-0.30`: another comparison replaces nothing.
+pub(super) fn default_folder(
+    run: &Path,
+    data: &Path,
+    split: Split,
+    options: &PredictOptions,
+) -> PathBuf {
     let data = data.canonicalize().unwrap_or_else(|_| data.to_path_buf());
     let name = data.file_name().unwrap_or_default().to_string_lossy();
-    run.join(EVALUATIONS).join(format!("{name}-{split}"))
+    let usual = PredictOptions::default();
+    let mut folder = format!("{name}-{split}");
+    if options.pairing_mode != usual.pairing_mode {
+        folder.push('-');
+        folder += options.pairing_mode.word();
+    }
+    if options.confidence != usual.confidence {
+        let short = format!("{:.2}", options.confidence);
+        folder.push('-');
+        folder += &match short.parse::<f32>() {
+            Ok(parsed) if options.confidence == parsed => short,
+            _ => options.confidence.to_string(),
+        };
+    }
+    run.join(EVALUATIONS).join(folder)
 }
 
 /// The evaluations of a run, by name.
@@ -205,4 +237,38 @@ fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
             "run `twinsight evaluate` again",
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pairing::PairingMode;
+
+    #[test]
+    fn what_is_not_as_usual_stands_in_the_name_of_the_folder() {
+        let usual = PredictOptions::default();
+        let name = |options: PredictOptions| {
+            let folder = default_folder(Path::new("r"), Path::new("x/quick"), Split::Val, &options);
+            assert_eq!(folder.parent(), Some(Path::new("r/evaluation")));
+            folder.file_name().unwrap().to_string_lossy().into_owned()
+        };
+        assert_eq!(name(usual), "quick-val");
+        let detect = PredictOptions {
+            pairing_mode: PairingMode::Detect,
+            ..usual
+        };
+        assert_eq!(name(detect), "quick-val-detect");
+        for (confidence, expected) in [(0.3, "0.30"), (0.0001, "0.0001"), (0.125, "0.125")] {
+            let options = PredictOptions {
+                confidence,
+                ..detect
+            };
+            assert_eq!(name(options), format!("quick-val-detect-{expected}"));
+            let options = PredictOptions {
+                confidence,
+                ..usual
+            };
+            assert_eq!(name(options), format!("quick-val-{expected}"));
+        }
+    }
 }

@@ -90,6 +90,7 @@ pub type Estimates = [Option<f64>; 5];
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct VehicleRow {
     /// The frame's number.
+    #[serde(with = "crate::dataset::stamp")]
     pub frame: u64,
     /// The vehicle's number in the frame.
     pub id: u32,
@@ -262,6 +263,7 @@ impl<'a> Places<'a> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FalseVehicle {
     /// The frame's number.
+    #[serde(with = "crate::dataset::stamp")]
     pub frame: u64,
     /// The class that was seen.
     pub class: String,

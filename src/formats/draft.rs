@@ -176,13 +176,18 @@ impl Draft {
         );
         let path = out.join(MARKER);
         let begun = files::read_text(&path).is_ok_and(|old| old == marker);
-        let occupied = ["dataset.toml", "frames.csv", "frames", MARKER];
-        if !begun && occupied.iter().any(|name| out.join(name).exists()) {
-            return Err(Error::dataset(
-                out,
-                "already holds a dataset or another unfinished one, which is never overwritten",
-                "choose another folder with --out, or delete this one",
-            ));
+        if !begun && let Some(content) = files::first_entry(out)? {
+            let is_dataset = ["dataset.toml", MARKER]
+                .iter()
+                .any(|name| out.join(name).exists());
+            let reason = if is_dataset {
+                "already holds a dataset or another unfinished one, which is never overwritten"
+                    .to_owned()
+            } else {
+                format!("holds other files, such as {content}")
+            };
+            let remedy = "choose another folder with --out, or delete this one";
+            return Err(Error::dataset(out, reason, remedy));
         }
         files::create_folder(out.join("frames"))?;
         files::write_atomically(&path, marker.as_bytes())

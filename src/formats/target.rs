@@ -16,14 +16,10 @@ pub(super) fn begin_export(dataset: &StereoDataset, kind: BoxKind, out: &Path) -
             "choose the other kind with --box-kind",
         ));
     }
-    let is_empty = |path: &Path| {
-        path.read_dir()
-            .is_ok_and(|mut entries| entries.next().is_none())
-    };
-    if out.exists() && !is_empty(out) {
+    if let Some(content) = files::first_entry(out)? {
         return Err(Error::dataset(
             out,
-            "is not empty, and nothing is overwritten",
+            format!("is not empty (it holds {content}), and nothing is overwritten"),
             "choose another folder with --out, or delete this one",
         ));
     }

@@ -8,8 +8,8 @@
 //!
 //! A line is `class center_x center_y width height`, fractions of the image, and as this crate's
 //! extension a sixth number, the distance in metres. A polygon (seven numbers or more) becomes the
-//! box around it. `data.yaml` of this crate also has the rig, under `twinsight`, which other
-//! programs ignore.
+//! box around it. `data.yaml` of this crate also has the rig and the kind of the boxes, under
+//! `twinsight`, which other programs ignore.
 
 mod export;
 mod import;
@@ -19,6 +19,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::dataset::BoxKind;
 use crate::geometry::RigSettings;
 
 pub use export::export;
@@ -75,5 +76,14 @@ impl Names {
 /// What only this crate writes and reads.
 #[derive(Debug, Serialize, Deserialize)]
 struct Extra {
-    rig: RigSettings,
+    /// Of stereo pairs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    rig: Option<RigSettings>,
+    /// Kind of the boxes; files of older versions do not say and mean tight ones.
+    #[serde(default = "tight")]
+    kind: BoxKind,
+}
+
+const fn tight() -> BoxKind {
+    BoxKind::Tight
 }

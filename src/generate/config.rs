@@ -433,6 +433,24 @@ mod tests {
     }
 
     #[test]
+    fn a_file_leaves_out_what_quick_has_but_for_its_bodies_and_paints_and_its_test() {
+        let all = GenerateConfig::parse("", "a.toml").unwrap();
+        let mut quick = GenerateConfig::preset("quick").unwrap();
+        assert_eq!(
+            (all.appearance.bodies.len(), all.appearance.paints.len()),
+            (11, 18)
+        );
+        assert_eq!(
+            (quick.appearance.bodies.len(), quick.appearance.paints.len()),
+            (7, 14)
+        );
+        quick.appearance.bodies.clone_from(&all.appearance.bodies);
+        quick.appearance.paints.clone_from(&all.appearance.paints);
+        quick.test = None;
+        assert_eq!(quick, all);
+    }
+
+    #[test]
     fn vehicles_are_a_number_or_a_range_and_come_back_from_toml() {
         for (text, least, most) in [("3", 3, 3), ("[2, 6]", 2, 6)] {
             let config = GenerateConfig::parse(&format!("vehicles = {text}"), "a").unwrap();

@@ -135,8 +135,16 @@ impl Task {
         let folder = Folder::read(root)?;
         let config = &with_recorded_assets(config, &folder, root)?;
         let Some(made_by) = &folder.made_by else {
-            if folder.marker.is_none() && folder.is_occupied {
-                return Err(occupied(root));
+            if folder.marker.is_none()
+                && let Some(content) = &folder.content
+            {
+                return Err(Error::dataset(
+                    root,
+                    format!(
+                        "holds other files, such as {content}, and no dataset of these settings"
+                    ),
+                    "choose a new or empty folder",
+                ));
             }
             let task = Self::of(History::new(config));
             task.check_marker(&folder, root)?;

@@ -27,8 +27,8 @@ pub(super) struct Folder {
     pub made_by: Option<toml::Table>,
     /// What was begun and not finished.
     pub marker: Option<toml::Table>,
-    /// Whether it holds any part of a dataset.
-    pub is_occupied: bool,
+    /// Something that it holds, by name.
+    pub content: Option<String>,
 }
 
 impl Folder {
@@ -55,9 +55,7 @@ impl Folder {
         Ok(Self {
             made_by,
             marker: table(MARKER)?,
-            is_occupied: ["dataset.toml", "frames.csv", "objects.csv", "frames"]
-                .iter()
-                .any(|name| root.join(name).exists()),
+            content: files::first_entry(root)?,
         })
     }
 }

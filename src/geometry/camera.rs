@@ -194,8 +194,9 @@ impl StereoRig {
     /// Whether a vehicle's visible boxes lie as far apart as its depth says.
     ///
     /// Loosely: the vehicle's near side has more disparity than its centre, and hidden parts move
-    /// edges. Boxes that touch a side of their image say nothing and pass.
-    pub fn boxes_agree(&self, left: &PixelBox, right: &PixelBox, z_m: f64) -> bool {
+    /// edges: `hidden_px` is how far what hides the vehicle may have moved the centres apart. Boxes
+    /// that touch a side of their image say nothing and pass.
+    pub fn boxes_agree(&self, left: &PixelBox, right: &PixelBox, z_m: f64, hidden_px: f64) -> bool {
         let cut_off = |area: &PixelBox, camera: &Camera| {
             area.x_min < BORDER_PX || area.x_max > f64::from(camera.width) - BORDER_PX
         };
@@ -205,7 +206,7 @@ impl StereoRig {
         let [left_x, right_x] = [(left, &self.left), (right, &self.right)]
             .map(|(area, camera)| (area.center()[0] - camera.center_x_px) / camera.focal_x_px);
         let disparity_px = (left_x - right_x) * self.focal_px();
-        let slack_px = BOX_SLACK_PX + BOX_SLACK_PART * left.width().max(right.width());
+        let slack_px = BOX_SLACK_PX + BOX_SLACK_PART * left.width().max(right.width()) + hidden_px;
         (disparity_px - self.disparity_px(z_m)).abs() <= slack_px
     }
 

@@ -243,7 +243,11 @@ impl DetectionMetrics {
         }
 
         let mean = |value: &dyn Fn(&ClassMetrics) -> f64| {
-            per_class.iter().map(value).sum::<f64>() / (per_class.len() as f64).max(1.0)
+            per_class
+                .iter()
+                .map(value)
+                .fold(0.0, |sum, value| sum + value)
+                / (per_class.len() as f64).max(1.0)
         };
         let f1 = mean(&|class| class.f1);
         let confidence = best_index as f64 / (CONFIDENCE_STEPS - 1) as f64;

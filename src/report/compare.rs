@@ -70,7 +70,9 @@ fn detectors(runs: &[Run]) -> Table {
     );
     table.words = 2;
     for (run, of) in evaluations(runs) {
-        let figures = &of.evaluation.detection;
+        let Some(figures) = &of.evaluation.detection else {
+            continue;
+        };
         table.rows.push(vec![
             run.name.clone(),
             of.name.clone(),

@@ -3,7 +3,7 @@
 use super::load::Evaluated;
 use super::parts::{Chart, Section, Table, number};
 use crate::error::Result;
-use crate::evaluate::{ConfusionRow, CurveRow, LatencyRow};
+use crate::evaluate::{ConfusionRow, CurveRow, DetectionFigures, LatencyRow};
 use crate::page::charts::{Axis, Figure, Rgb, Shape, color, grouped_bars};
 
 /// The class of the curves of all classes together.
@@ -14,8 +14,11 @@ const EVERY: usize = 5;
 
 /// Adds everything about the detector, and the time of each stage.
 pub(super) fn add(section: &mut Section, of: &Evaluated) -> Result<()> {
+    let Some(figures) = &of.evaluation.detection else {
+        return Ok(());
+    };
     section.heading("Detector");
-    section.table(classes(of));
+    section.table(classes(of, figures));
     section.charts(curves(of)?);
     section.table(confusion(of));
     section.table(coco(of));
@@ -28,7 +31,7 @@ pub(super) fn add(section: &mut Section, of: &Evaluated) -> Result<()> {
     Ok(())
 }
 
-fn classes(of: &Evaluated) -> Table {
+fn classes(of: &Evaluated, figures: &DetectionFigures) -> Table {
     let mut table = Table::new(
         "By class",
         &[
@@ -46,7 +49,6 @@ fn classes(of: &Evaluated) -> Table {
         ],
         of.file("detection.csv"),
     );
-    let figures = &of.evaluation.detection;
     if let (Some(map50), Some(map50_95)) = (figures.map50_interval, figures.map50_95_interval) {
         table.note = format!(
             "Bounds: mAP50 {:.3} to {:.3}, mAP50-95 {:.3} to {:.3} ({} draws; {}).",

@@ -23,10 +23,11 @@ pub(super) fn add(section: &mut Section, of: &Evaluated) -> Result<()> {
         section.table(methods(of, boxes));
     }
     section.table(differences(of));
-    section.charts(vec![
-        scatter(of, Boxes::True)?,
-        scatter(of, Boxes::Pipeline)?,
-    ]);
+    let mut scatters = vec![scatter(of, Boxes::True)?];
+    if of.evaluation.pipeline.is_some() {
+        scatters.push(scatter(of, Boxes::Pipeline)?);
+    }
+    section.charts(scatters);
     let mut charts = Vec::new();
     for grouping in Grouping::ALL {
         if grouping != Grouping::All {
@@ -108,8 +109,9 @@ fn methods(of: &Evaluated, boxes: Boxes) -> Table {
         ],
         of.file("distance.csv"),
     );
-    if boxes == Boxes::Pipeline {
-        let figures = &of.evaluation.pipeline;
+    if boxes == Boxes::Pipeline
+        && let Some(figures) = &of.evaluation.pipeline
+    {
         table.note = format!(
             "{} of {} vehicles found, {} missed; {} seen where none is labelled. Errors are those of \
              the vehicles found.",
@@ -197,7 +199,11 @@ fn groups(of: &Evaluated, grouping: Grouping) -> Table {
     let tables = &of.evaluation.tables;
     let of_network =
         |boxes| rows(tables, grouping, boxes).filter(|row| row.method == Method::Network);
-    for (row, pipeline) in of_network(Boxes::True).zip(of_network(Boxes::Pipeline)) {
+    // A run without a detector has no such rows.
+    let mut of_pipeline = of_network(Boxes::Pipeline);
+    for row in of_network(Boxes::True) {
+        let pipeline = of_pipeline.next();
+        let count = |value: Option<usize>| value.map_or_else(|| "-".to_owned(), |n| n.to_string());
         table.rows.push(vec![
             row.group.clone(),
             row.vehicles.to_string(),
@@ -210,13 +216,11 @@ fn groups(of: &Evaluated, grouping: Grouping) -> Table {
             ),
             number(row.bias_m, 2),
             percent(row.within_5_percent),
-            pipeline.answered.to_string(),
-            pipeline.unanswered.to_string(),
-            pipeline
-                .false_vehicles
-                .map_or_else(|| "-".to_owned(), |count| count.to_string()),
-            number(pipeline.mae_m, 2),
-            number(pipeline.mre_percent, 1),
+            count(pipeline.map(|row| row.answered)),
+            count(pipeline.map(|row| row.unanswered)),
+            count(pipeline.and_then(|row| row.false_vehicles)),
+            number(pipeline.and_then(|row| row.mae_m), 2),
+            number(pipeline.and_then(|row| row.mre_percent), 1),
         ]);
     }
     table
@@ -270,9 +274,10 @@ fn by_group(of: &Evaluated, grouping: Grouping) -> Result<Option<Chart>> {
             (
                 color(boxes as usize),
                 boxes.name().to_owned(),
-                rows.collect(),
+                rows.collect::<Vec<_>>(),
             )
         })
+        .filter(|(_, _, rows)| !rows.is_empty())
         .collect();
     let unit = match grouping {
         Grouping::Distance => "true distance, m",

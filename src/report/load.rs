@@ -7,7 +7,10 @@ use crate::error::{Error, Result};
 use crate::evaluate::{Evaluation, ExampleKind, evaluations, read};
 use crate::files;
 use crate::page;
-use crate::train::EpochRow;
+use crate::train::{EpochRow, StageFolder};
+
+/// The page of an ablation.
+const ABLATION_PAGE: &str = "ablation.html";
 
 /// A run with everything that a page shows of it.
 pub(super) struct Run {
@@ -62,6 +65,31 @@ impl Run {
             config: files::read_text(config)?,
             epochs: epochs(&folder.join("metrics.csv"))?,
             evaluations,
+        })
+    }
+
+    /// What to say of a run that was not evaluated; None for one that was, and for one without a
+    /// trained network, which cannot be.
+    pub fn without_evaluation(&self) -> Option<String> {
+        let is_trained = |stage| StageFolder::new(&self.folder, stage).best().exists();
+        let trained = ["detector", "distance"].into_iter().any(is_trained);
+        if !self.evaluations.is_empty() || !trained {
+            return None;
+        }
+        // `<ablation>/runs/<variant>-seed<N>`
+        let above = self.folder.canonicalize().ok();
+        let page = above.and_then(|run| Some(run.parent()?.parent()?.join(ABLATION_PAGE)));
+        Some(match page.filter(|page| page.is_file()) {
+            Some(page) => format!(
+                "{} is part of an ablation, whose figures are in {}",
+                self.name,
+                page.display()
+            ),
+            None => format!(
+                "{} has no evaluation: twinsight evaluate --run {} --data DATASET",
+                self.name,
+                self.folder.display()
+            ),
         })
     }
 

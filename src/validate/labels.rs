@@ -21,8 +21,9 @@ const BOX_CENTER_PART: f64 = 0.1;
 /// Distances of a row and of a label are the same within this, metres.
 const SAME_M: f64 = 0.02;
 
-/// Vehicles that are hidden more may be seen by one camera alone.
-const PARTNER_VISIBLE: f64 = 0.5;
+/// Of vehicles that are hidden more, boxes say little: they may be a strip at either end, and one
+/// camera may see nothing at all.
+const JUDGED_VISIBLE: f64 = 0.5;
 
 /// What all labels together say against `dataset.toml`.
 pub(super) fn check_dataset(dataset: &StereoDataset) -> Vec<Finding> {
@@ -47,6 +48,24 @@ pub(super) fn check_dataset(dataset: &StereoDataset) -> Vec<Finding> {
         .collect()
 }
 
+/// How many vehicles of a stereo dataset nobody knows the distance of, where there are any.
+pub(super) fn without_distance(dataset: &StereoDataset) -> Option<String> {
+    let images = dataset.frames.iter().flat_map(Frame::images);
+    let judged: Vec<&Label> = images
+        .flat_map(|(_, image)| &image.labels)
+        .filter(|label| !label.ignored)
+        .collect();
+    let is_unknown = |label: &&&Label| label.distance_m.is_none();
+    let unknown = judged.iter().filter(is_unknown).count();
+    (dataset.info.stereo && unknown > 0).then(|| {
+        format!(
+            "{unknown} of {} labels have no distance (`-`): the detector learns from them, the \
+             distance network does not",
+            judged.len()
+        )
+    })
+}
+
 /// What is wrong with the labels of a frame.
 pub(super) fn check_frame(dataset: &StereoDataset, frame: &Frame) -> Vec<Finding> {
     let mut findings = Vec::new();
@@ -57,12 +76,7 @@ pub(super) fn check_frame(dataset: &StereoDataset, frame: &Frame) -> Vec<Finding
                 "vehicle {}, {} box in the {side} image",
                 label.id, label.kind
             );
-            let known = !dataset.info.stereo || label.distance_m.is_some() || label.ignored;
-            let reasons = [
-                box_problem(label, camera),
-                (!known).then(|| "has no distance".to_owned()),
-            ];
-            findings.extend(reasons.into_iter().flatten().map(|reason| {
+            findings.extend(box_problem(label, camera).map(|reason| {
                 Finding::of_frame(FindingKind::Label, frame, format!("{name}: {reason}"))
             }));
         }
@@ -70,15 +84,8 @@ pub(super) fn check_frame(dataset: &StereoDataset, frame: &Frame) -> Vec<Finding
     if let Some(right) = &frame.right {
         for left in frame.left.labels.iter().filter(|label| !label.ignored) {
             let alike = |label: &&Label| label.id == left.id && label.kind == left.kind;
-            match right.labels.iter().find(alike) {
-                Some(right) => findings.extend(pair_problems(dataset.rig(), frame, left, right)),
-                None => findings.extend(missing_partner(dataset.rig(), frame, left, Side::Left)),
-            }
-        }
-        for label in right.labels.iter().filter(|label| !label.ignored) {
-            let alike = |left: &Label| left.id == label.id && left.kind == label.kind;
-            if !frame.left.labels.iter().any(alike) {
-                findings.extend(missing_partner(dataset.rig(), frame, label, Side::Right));
+            if let Some(right) = right.labels.iter().find(alike) {
+                findings.extend(pair_problems(dataset.rig(), frame, left, right));
             }
         }
     }
@@ -169,7 +176,14 @@ fn pair_problems(rig: &StereoRig, frame: &Frame, left: &Label, right: &Label) ->
             );
             findings.push(finding(FindingKind::Disparity, reason));
         } else if left.kind == BoxKind::Tight
-            && !rig.boxes_agree(&left.box_pixel, &right.box_pixel, z_m)
+            && !is_unjudged(left)
+            && !is_unjudged(right)
+            && !rig.boxes_agree(
+                &left.box_pixel,
+                &right.box_pixel,
+                z_m,
+                hidden_slack_px(left, right),
+            )
         {
             let [left_x, right_x] = [left, right].map(|label| label.box_pixel.center()[0]);
             let reason = format!(
@@ -182,49 +196,31 @@ fn pair_problems(rig: &StereoRig, frame: &Frame, left: &Label, right: &Label) ->
     findings
 }
 
+/// Whether so little is seen of a vehicle, or so little asked of it, that its box says nothing.
+pub(super) fn is_unjudged(label: &Label) -> bool {
+    let is_hidden = |visible: f64| visible < JUDGED_VISIBLE;
+    label.ignored || label.visible.is_some_and(is_hidden)
+}
+
+/// How far apart what hides parts of a vehicle may move the centres of its two boxes, pixels: by
+/// half of the hidden width each. What is hidden may be a low end of the vehicle, and so is up to
+/// twice as wide as its share of the silhouette says.
+fn hidden_slack_px(left: &Label, right: &Label) -> f64 {
+    let visible = |label: &Label| label.visible.unwrap_or(1.0);
+    let whole_px = [left, right]
+        .map(|label| label.box_pixel.width() / visible(label).max(JUDGED_VISIBLE))
+        .into_iter()
+        .fold(0.0, f64::max);
+    (2.0 - visible(left) - visible(right)) * whole_px
+}
+
 /// Depth of the point on a ray of the left camera at a distance from the middle of the rig.
-fn depth_m(rig: &StereoRig, ray: [f64; 3], distance_m: f64) -> f64 {
+pub(super) fn depth_m(rig: &StereoRig, ray: [f64; 3], distance_m: f64) -> f64 {
     let square: f64 = ray.iter().map(|v| v * v).sum();
     let half_m = rig.baseline_m / 2.0;
     let along = half_m * ray[0];
     let root = along * along - square * (half_m * half_m - distance_m * distance_m);
     (along + libm::sqrt(root.max(0.0))) / square
-}
-
-/// A vehicle that the other camera should have, too.
-fn missing_partner(rig: &StereoRig, frame: &Frame, label: &Label, side: Side) -> Option<Finding> {
-    let distance_m = label.distance_m?;
-    if label
-        .visible
-        .is_some_and(|visible| visible < PARTNER_VISIBLE)
-    {
-        return None;
-    }
-    let (other, ray, sign) = match side {
-        Side::Left => (
-            Side::Right,
-            rig.left.camera_from_pixel(label.center_pixel),
-            -1.0,
-        ),
-        Side::Right => (
-            Side::Left,
-            rig.right.camera_from_pixel(label.center_pixel),
-            1.0,
-        ),
-    };
-    let disparity_px = rig.disparity_px(depth_m(rig, ray, distance_m));
-    let x =
-        rig.camera(other).center_x_px + ray[0] * rig.camera(other).focal_x_px + sign * disparity_px;
-    let half = label.box_pixel.width() / 2.0;
-    let whole = x - half >= 0.0 && x + half <= f64::from(rig.camera(other).width);
-    whole.then(|| {
-        let reason = format!(
-            "vehicle {} has a {} box in the {side} image alone, and the {other} camera sees it at \
-             x = {x:.0} px",
-            label.id, label.kind
-        );
-        Finding::of_frame(FindingKind::Partner, frame, reason)
-    })
 }
 
 /// What `frames.csv` says against the labels.

@@ -111,6 +111,86 @@ fn a_dataset_grows_and_says_how_many_frames_it_has_now() {
 }
 
 #[test]
+fn the_cameras_are_given_by_flags_and_the_test_frames_can_be_left_out() {
+    let place = Workplace::new();
+    place.write("tiny.toml", super::TINY_DATASET);
+    let made = place
+        .line("generate --config tiny.toml --no-test --hfov-deg 60 --baseline-m 0.12 --out d")
+        .success();
+    assert!(
+        made.contains("6 frames") && made.contains("0 test"),
+        "{made}"
+    );
+    let info = fs::read_to_string(place.path("d/dataset.toml")).unwrap();
+    for line in ["hfov_deg = 60.0", "baseline_m = 0.12"] {
+        assert!(info.contains(line), "{line} should be in {info}");
+    }
+    assert!(!info.contains("distances_m"), "{info}");
+    for (flag, word) in [
+        ("--hfov-deg 170", "hfov_deg"),
+        ("--baseline-m 0", "baseline_m"),
+    ] {
+        place
+            .line(&format!("generate --config tiny.toml {flag} --out e"))
+            .error_says(&[word]);
+    }
+    place
+        .line("generate --add 4 --out d --no-test")
+        .error_says(&["--add", "--no-test"]);
+    assert!(!place.path("e").exists());
+}
+
+#[test]
+fn a_folder_of_other_files_is_refused_and_left_alone() {
+    let place = super::with_dataset();
+    place.write("notes/diary.txt", "mine");
+    place.line("export yolo data --out yolo").success();
+    for line in [
+        "generate --config tiny.toml --out notes",
+        "import yolo yolo --out notes",
+        "export yolo data --out notes",
+    ] {
+        place
+            .line(line)
+            .error_says(&["notes", "diary.txt", "folder"]);
+    }
+    assert_eq!(content(&place.path("notes")).len(), 1);
+    // A file that keeps an empty folder in a repository is no content.
+    place.write("kept/.gitkeep", "");
+    place
+        .line("generate --config tiny.toml --out kept")
+        .success();
+}
+
+#[test]
+fn a_generated_dataset_of_crowded_streets_has_nothing_wrong_and_its_tables_join_as_text() {
+    let place = Workplace::new();
+    place.write("tiny.toml", super::TINY_DATASET);
+    place
+        .line(
+            "generate --config tiny.toml --no-test --frames 24 --vehicles 10 --size 256x144 --out d",
+        )
+        .success();
+    let checked = place.line("validate d").success();
+    assert!(checked.contains("nothing wrong"), "{checked}");
+    let labels = fs::read_dir(place.path("d/frames")).unwrap();
+    let hidden = labels
+        .filter_map(|entry| fs::read_to_string(entry.unwrap().path()).ok())
+        .flat_map(|text| text.lines().map(str::to_owned).collect::<Vec<_>>())
+        .filter(|line| line.contains("tight 0."))
+        .count();
+    assert!(hidden > 60, "only {hidden} boxes of partly hidden vehicles");
+    let objects = fs::read_to_string(place.path("d/objects.csv")).unwrap();
+    let frames = fs::read_to_string(place.path("d/frames.csv")).unwrap();
+    let stamp = |line: &str| line.split(',').next().unwrap().to_owned();
+    let known: Vec<String> = frames.lines().map(stamp).collect();
+    assert!(
+        objects.lines().all(|line| known.contains(&stamp(line))),
+        "{objects}"
+    );
+}
+
+#[test]
 fn extra_outputs_and_vehicles_are_asked_for_by_name() {
     let place = Workplace::new();
     place.write("tiny.toml", super::TINY_DATASET);

@@ -51,7 +51,7 @@ fn every_table_is_a_csv_and_a_json_file_and_the_baselines_stand_beside_the_netwo
     ] {
         assert!(tables.contains(word), "{word} in {tables}");
     }
-    let folder = place.path("r/evaluation/data-test");
+    let folder = place.path("r/evaluation/data-test-0.0001");
     for name in [
         "vehicles",
         "distance",
@@ -113,7 +113,10 @@ fn the_same_evaluation_writes_the_same_tables() {
         "protocol.csv",
     ] {
         let read = |folder: &str| fs::read(place.path(folder).join(name)).unwrap();
-        assert!(read("again") == read("r/evaluation/data-test"), "{name}");
+        assert!(
+            read("again") == read("r/evaluation/data-test-0.0001"),
+            "{name}"
+        );
     }
 }
 
@@ -149,7 +152,7 @@ fn the_page_of_two_runs_needs_nothing_from_elsewhere_and_names_files_that_exist(
     for text in [
         "Comparison",
         "mAP50",
-        "Against r on data-test",
+        "Against r on data-test-0.0001",
         "triangulation",
         "Confusion",
     ] {
@@ -180,6 +183,21 @@ fn the_page_of_a_run_without_an_evaluation_says_how_to_make_one() {
     );
     assert_eq!(outcome.success(), "r/report.html\n");
     assert!(place.path("r/report.html").is_file());
+    // And that one works.
+    place.line("evaluate --run r --data data").success();
+    assert_eq!(place.line("report r").stderr, "");
+    // A run of an ablation is measured there.
+    place.write("out/ablation.html", "");
+    fs::create_dir_all(place.path("out/runs")).unwrap();
+    fs::remove_dir_all(place.path("r/evaluation")).unwrap();
+    copy(&place.path("r"), &place.path("out/runs/mono-seed1"));
+    let outcome = place.line("report out/runs/mono-seed1");
+    assert!(
+        outcome.stderr.contains("out/ablation.html") && !outcome.stderr.contains("evaluate"),
+        "{}",
+        outcome.stderr
+    );
+    outcome.success();
 }
 
 #[test]

@@ -107,6 +107,29 @@ fn every_grouping_counts_every_vehicle_once_and_every_false_one_that_it_can() {
 }
 
 #[test]
+fn one_vehicle_has_a_bin_of_metres_and_none_at_all_have_no_bins() {
+    let vehicles = [vehicle(3, 12.4181, true)];
+    let made_up = [
+        false_vehicle(12.0),
+        false_vehicle(12.6),
+        false_vehicle(95.0),
+    ];
+    let bins = |rows: Vec<DistanceRow>| -> Vec<String> {
+        let rows = rows.into_iter().filter(|row| {
+            (row.grouping, row.boxes, row.method)
+                == (Grouping::Distance, Boxes::True, Method::Network)
+        });
+        rows.map(|row| row.group).collect()
+    };
+    let drawing = drawing(&vehicles);
+    assert_eq!(
+        bins(rows(&vehicles, &made_up, &drawing)),
+        ["12-14 m", "94-96 m"]
+    );
+    assert!(bins(rows(&[], &made_up, &drawing)).is_empty());
+}
+
+#[test]
 fn bounds_hold_the_figure_and_a_constant_relative_error_has_no_spread() {
     let vehicles = vehicles();
     let rows = rows(&vehicles, &[], &drawing(&vehicles));

@@ -114,7 +114,7 @@ pub fn import(
         .classes
         .clone()
         .unwrap_or_else(|| ClassMap::merged("car", &["Car", "Van", "Truck"]));
-    let splits = image_sets(&options.source)?;
+    let splits = image_sets(&training)?;
     let stamps = stamps(&found.iter().map(|f| f.name.clone()).collect::<Vec<_>>());
     let sized = found.iter().flat_map(|frame| &frame.objects);
     let has_spheres = sized
@@ -307,11 +307,23 @@ fn region(object: &Object, id: u32) -> [Label; 2] {
     })
 }
 
-/// Which frames the lists in `ImageSets` give to which split.
-fn image_sets(source: &Path) -> Result<BTreeMap<String, Split>> {
+/// Which frames the lists in `ImageSets` give to which split. The folder stands beside `training`,
+/// whichever of the two was given, or in it.
+fn image_sets(training: &Path) -> Result<BTreeMap<String, Split>> {
+    let training = training
+        .canonicalize()
+        .map_err(Error::io("read", training))?;
+    let lists = [training.parent(), Some(&*training)]
+        .into_iter()
+        .flatten()
+        .map(|folder| folder.join("ImageSets"))
+        .find(|lists| lists.is_dir());
     let mut splits = BTreeMap::new();
+    let Some(lists) = lists else {
+        return Ok(splits);
+    };
     for split in Split::ALL {
-        let path = source.join("ImageSets").join(format!("{split}.txt"));
+        let path = lists.join(format!("{split}.txt"));
         if path.exists() {
             let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
             let names = text

@@ -59,10 +59,13 @@ fn coco_holds_everything_of_one_kind_of_box() {
 
 #[test]
 fn yolo_holds_boxes_classes_splits_and_with_a_sixth_number_distances() {
-    for distance in [true, false] {
+    for (distance, kind) in [
+        (true, BoxKind::Tight),
+        (false, BoxKind::Tight),
+        (true, BoxKind::Sphere),
+    ] {
         let (fixture, place) = (Fixture::lawful(10), Place::new());
         let dataset = fixture.open();
-        let kind = BoxKind::Tight;
         let report = yolo::export(&dataset, kind, distance, &place.path("yolo"), &Silent).unwrap();
         assert_eq!((report.images, report.boxes), (20, 34));
         // The second vehicle of every third frame, in both images.
@@ -72,6 +75,7 @@ fn yolo_holds_boxes_classes_splits_and_with_a_sixth_number_distances() {
         yolo::import(&source, &options, &place.target("back"), &Silent).unwrap();
         let back = place.open("back");
         assert_eq!(back.info.rig, dataset.info.rig);
+        assert_eq!(back.info.label_kinds, [kind]);
         for (a, b) in dataset.frames.iter().zip(&back.frames) {
             assert_eq!((a.row.stamp, a.row.split), (b.row.stamp, b.row.split));
             let mut expected = labels(a, kind);

@@ -215,13 +215,17 @@ fn drives_of_a_table_are_never_split_and_lists_of_the_source_are_followed() {
     ] {
         place.write(&format!("kitti/ImageSets/{name}.txt"), ids);
     }
-    kitti::import(&options, &place.target("lists"), &Silent).unwrap();
-    let dataset = place.open("lists");
-    let splits: Vec<Split> = dataset.frames.iter().map(|frame| frame.row.split).collect();
-    assert_eq!(
-        splits,
-        [Split::Val, Split::Train, Split::Train, Split::Test]
-    );
+    // Whether the folder is given or its `training`.
+    for (source, name) in [("kitti", "lists"), ("kitti/training", "lists-of-training")] {
+        let options = kitti::KittiOptions::new(place.path(source));
+        kitti::import(&options, &place.target(name), &Silent).unwrap();
+        let dataset = place.open(name);
+        let splits: Vec<Split> = dataset.frames.iter().map(|frame| frame.row.split).collect();
+        assert_eq!(
+            splits,
+            [Split::Val, Split::Train, Split::Train, Split::Test]
+        );
+    }
 }
 
 #[test]

@@ -57,8 +57,9 @@ pub fn export(
         val: place(Split::Val),
         test: place(Split::Test),
         names: Names::Map((0..).zip(dataset.classes().iter().cloned()).collect()),
-        twinsight: dataset.info.stereo.then(|| Extra {
-            rig: (*dataset.rig()).into(),
+        twinsight: Some(Extra {
+            rig: dataset.info.stereo.then(|| (*dataset.rig()).into()),
+            kind,
         }),
     };
     let path = out.join("data.yaml");

@@ -16,7 +16,7 @@ use super::{DataYaml, Names, Places};
 use crate::dataset::{BoxKind, Problem, Split};
 use crate::error::{Error, Result, yaml_problem};
 use crate::files;
-use crate::geometry::StereoRig;
+use crate::geometry::{PixelBox, StereoRig};
 use crate::progress::Progress;
 
 /// Imports a YOLO dataset: `source` is its `data.yaml` or the folder that holds it.
@@ -36,6 +36,10 @@ pub fn import(
     let path = yaml_path(source)?;
     let folder = path.parent().unwrap_or(Path::new(".")).to_path_buf();
     let yaml = read_yaml(&path)?;
+    let kind = yaml
+        .twinsight
+        .as_ref()
+        .map_or(BoxKind::Tight, |extra| extra.kind);
     let present = yaml.names.all();
     let classes = match &target.classes {
         Some(classes) => classes.clone(),
@@ -72,7 +76,7 @@ pub fn import(
         .par_iter()
         .map(|(path, split)| {
             let name = name_in(&folder, path);
-            read_image(path, &name, *split, &yaml.names, &classes).map_err(|reason| Problem {
+            read_image(path, &name, *split, &yaml.names, &classes, kind).map_err(|reason| Problem {
                 subject: name,
                 reason,
             })
@@ -82,10 +86,11 @@ pub fn import(
         program: "twinsight import yolo",
         source: source.to_path_buf(),
         classes: classes.names(),
-        kind: BoxKind::Tight,
+        kind,
         rig: yaml
             .twinsight
-            .map(|extra| StereoRig::try_from(extra.rig))
+            .and_then(|extra| extra.rig)
+            .map(StereoRig::try_from)
             .transpose()?,
         images: Vec::new(),
         problems: Vec::new(),
@@ -214,12 +219,28 @@ fn name_in(folder: &Path, path: &Path) -> String {
     parts.collect::<Vec<_>>().join("/")
 }
 
+/// The square that was cut off at one border of the image, as YOLO's boxes are: as long as its other
+/// side. Cut off at two borders, or at opposite ones, it stays as it is.
+fn whole_square(area: &PixelBox, [width, height]: [u32; 2]) -> PixelBox {
+    let side = area.width().max(area.height());
+    let grown = |least: f64, most: f64, end: f64| match (least <= 0.0, most >= end) {
+        _ if most - least >= side => [least, most],
+        (true, false) => [most - side, most],
+        (false, true) => [least, least + side],
+        _ => [least, most],
+    };
+    let [x_min, x_max] = grown(area.x_min, area.x_max, f64::from(width));
+    let [y_min, y_max] = grown(area.y_min, area.y_max, f64::from(height));
+    PixelBox::new(x_min, y_min, x_max, y_max)
+}
+
 fn read_image(
     path: &Path,
     name: &str,
     split: Split,
     names: &Names,
     classes: &ClassMap,
+    kind: BoxKind,
 ) -> Result<HeapImage, String> {
     let size = copy::dimensions(path).map_err(|error| error.to_string())?;
     let label_path = label_path(path);
@@ -239,7 +260,10 @@ fn read_image(
                 let name = name.ok_or_else(|| format!("class {} has no name", label.class))?;
                 Ok(classes.index_of(name).map(|class| HeapObject {
                     class,
-                    box_pixel: label.box_pixel,
+                    box_pixel: match kind {
+                        BoxKind::Tight => label.box_pixel,
+                        BoxKind::Sphere => whole_square(&label.box_pixel, size),
+                    },
                     distance_m: label.distance_m,
                     ignored: false,
                     id: None,
@@ -261,4 +285,23 @@ fn read_image(
         row: None,
         objects,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_square_that_one_border_cut_off_is_whole_again() {
+        let size = [100, 60];
+        let whole = PixelBox::new(-4.0, 20.0, 16.0, 40.0);
+        let mirrored = PixelBox::new(84.0, 20.0, 104.0, 40.0);
+        let high = PixelBox::new(30.0, 50.0, 50.0, 70.0);
+        for square in [whole, mirrored, high, PixelBox::new(30.0, 10.0, 50.0, 30.0)] {
+            assert_eq!(whole_square(&square.clipped(100.0, 60.0), size), square);
+        }
+        // Nobody knows how much is missing.
+        let at_both = PixelBox::new(0.0, 10.0, 100.0, 60.0);
+        assert_eq!(whole_square(&at_both, size), at_both);
+    }
 }
