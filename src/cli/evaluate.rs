@@ -86,7 +86,8 @@ impl EvaluateArgs {
     /// Evaluates a run.
     pub fn run(&self, quiet: bool) -> Result<()> {
         if let Some(path) = &self.json {
-            files::check_target(path)?;
+            let inputs: Vec<_> = files::of_run(&self.run).collect();
+            files::check_target(path, files::Kind::JSON, &inputs)?;
         }
         let request = EvaluateRequest {
             run: &self.run,
