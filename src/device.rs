@@ -301,7 +301,10 @@ mod gpu {
     /// Adapters, real graphics cards before software ones.
     #[cfg(feature = "wgpu")]
     fn enumerate() -> Vec<wgpu::AdapterInfo> {
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+        // Drivers of OpenGL need not be started: they are not asked for below.
+        descriptor.backends = wgpu::Backends::PRIMARY;
+        let instance = wgpu::Instance::new(descriptor);
         let adapters = instance.enumerate_adapters(wgpu::Backends::PRIMARY);
         let mut found: Vec<_> = pollster::block_on(adapters)
             .iter()

@@ -10,7 +10,10 @@ use std::io::Cursor;
 use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
-use image::{DynamicImage, ImageFormat, ImageReader, Limits, RgbImage};
+use image::metadata::Orientation;
+use image::{
+    DynamicImage, ImageDecoder as _, ImageError, ImageFormat, ImageReader, Limits, RgbImage,
+};
 
 use crate::error::{Error, Result};
 
@@ -33,13 +36,29 @@ const MAX_FILE_BYTES: u64 = 1 << 29;
 ///
 /// The content decides the format, not the name. Greyscale is replicated to three channels, an
 /// alpha channel is ignored, palettes are resolved, 16 bits become 8 by dividing by 257 and
-/// rounding. Colour profiles and rotation notes are not applied: the pixels are taken as stored.
+/// rounding. Colour profiles and rotation notes are not applied: the pixels are taken as stored, which
+/// is what the labels of datasets count in. [`load_upright`] applies rotation notes.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Image`] when it is neither PNG nor JPEG,
 /// truncated, damaged, or larger than 32768 pixels a side, 512 MiB as a file or 1 GiB decoded.
 pub fn load_rgb(path: impl AsRef<Path>) -> Result<RgbImage> {
-    let path = path.as_ref();
+    Ok(rgb_from(decode(path.as_ref())?.0))
+}
+
+/// [`load_rgb`], turned and mirrored as the file's Exif orientation says: as viewers show it, and as
+/// OpenCV reads it for calibration.
+///
+/// # Errors
+/// As [`load_rgb`]. An orientation that cannot be read is none.
+pub fn load_upright(path: impl AsRef<Path>) -> Result<RgbImage> {
+    let (mut decoded, orientation) = decode(path.as_ref())?;
+    decoded.apply_orientation(orientation);
+    Ok(rgb_from(decoded))
+}
+
+/// The pixels of a file as they are stored, and how they are to be turned.
+fn decode(path: &Path) -> Result<(DynamicImage, Orientation)> {
     let too_large = |problem: String| {
         Error::image(
             path,
@@ -77,23 +96,32 @@ pub fn load_rgb(path: impl AsRef<Path>) -> Result<RgbImage> {
     limits.max_alloc = Some(MAX_DECODED_BYTES);
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     reader.limits(limits);
-    let decoded = reader.decode().map_err(|error| match error {
-        image::ImageError::Limits(error) => too_large(format!("is too large: {error}")),
+    let refuse = |error: ImageError| match error {
+        ImageError::Limits(error) => too_large(format!("is too large: {error}")),
         error => Error::image(
             path,
             format!("cannot be decoded: {error}"),
             "copy or write it again; the file may be truncated or damaged",
         ),
-    })?;
-    let rgb = rgb_from(decoded);
-    if rgb.width() == 0 || rgb.height() == 0 {
+    };
+    let mut decoder = reader.into_decoder().map_err(refuse)?;
+    // The decoder's own limit is for what it needs beside the pixels.
+    let (bytes, (width, height)) = (decoder.total_bytes(), decoder.dimensions());
+    if bytes > MAX_DECODED_BYTES {
+        return Err(too_large(format!(
+            "is too large: {width}x{height} pixels are {bytes} bytes"
+        )));
+    }
+    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    let decoded = DynamicImage::from_decoder(decoder).map_err(refuse)?;
+    if decoded.width() == 0 || decoded.height() == 0 {
         return Err(Error::image(
             path,
-            format!("has no pixels ({}x{})", rgb.width(), rgb.height()),
+            format!("has no pixels ({}x{})", decoded.width(), decoded.height()),
             "write it again",
         ));
     }
-    Ok(rgb)
+    Ok((decoded, orientation))
 }
 
 /// Whether the last scan of a JPEG file has its end marker.
@@ -208,162 +236,20 @@ pub fn check_pair(
     ))
 }
 
-/// Reads both images of a stereo pair at the same time; left first in the result.
+/// Reads both images of a stereo pair at the same time, upright; left first in the result.
 ///
 /// # Errors
-/// Those of [`load_rgb`] and [`check_pair`].
+/// Those of [`load_upright`] and [`check_pair`].
 pub fn load_pair(
     left_path: impl AsRef<Path>,
     right_path: impl AsRef<Path>,
 ) -> Result<[RgbImage; 2]> {
     let (left_path, right_path) = (left_path.as_ref(), right_path.as_ref());
-    let (left, right) = rayon::join(|| load_rgb(left_path), || load_rgb(right_path));
+    let (left, right) = rayon::join(|| load_upright(left_path), || load_upright(right_path));
     let (left, right) = (left?, right?);
     check_pair(left_path, &left, right_path, &right)?;
     Ok([left, right])
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use image::{GrayImage, ImageBuffer, Luma, Rgb, Rgba, RgbaImage};
-
-    fn noise(width: u32, height: u32) -> RgbImage {
-        RgbImage::from_fn(width, height, |x, y| {
-            let value = x * 37 + y * 101 + x * y;
-            Rgb([value as u8, (value / 3) as u8, (value / 7) as u8])
-        })
-    }
-
-    fn message(path: &Path) -> String {
-        load_rgb(path).unwrap_err().to_string()
-    }
-
-    #[test]
-    fn a_written_image_comes_back_unchanged() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.png");
-        save_png(&path, &noise(31, 17)).unwrap();
-        assert_eq!(load_rgb(&path).unwrap(), noise(31, 17));
-    }
-
-    #[test]
-    fn a_missing_file_is_named_with_a_remedy() {
-        let text = message(Path::new("nowhere/left_00001.png"));
-        assert!(
-            text.contains("left_00001.png") && text.contains("check the path"),
-            "{text}"
-        );
-    }
-
-    #[test]
-    fn truncated_files_are_refused_at_any_length() {
-        let folder = tempfile::tempdir().unwrap();
-        let png = png_bytes("a.png", &noise(64, 48)).unwrap();
-        let mut jpeg = Vec::new();
-        noise(64, 48)
-            .write_to(&mut Cursor::new(&mut jpeg), ImageFormat::Jpeg)
-            .unwrap();
-        for (name, bytes, format) in [
-            ("a.png", png, ImageFormat::Png),
-            ("a.jpg", jpeg, ImageFormat::Jpeg),
-        ] {
-            let path = folder.path().join(name);
-            // A PNG is complete without its 12-byte end chunk.
-            let shortest_loss = if format == ImageFormat::Png { 14 } else { 1 };
-            for length in [0, 1, 8, 40, bytes.len() / 2, bytes.len() - shortest_loss] {
-                fs::write(&path, &bytes[..length]).unwrap();
-                let text = message(&path);
-                assert!(text.contains(name), "{length} bytes of {name}: {text}");
-            }
-            fs::write(&path, &bytes).unwrap();
-            load_rgb(&path).unwrap();
-        }
-    }
-
-    #[test]
-    fn damaged_bytes_and_other_formats_are_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.png");
-        let mut bytes = png_bytes("a.png", &noise(64, 48)).unwrap();
-        let middle = bytes.len() / 2;
-        bytes[middle] ^= 0x55;
-        fs::write(&path, &bytes).unwrap();
-        assert!(message(&path).contains("cannot be decoded"));
-        fs::write(&path, "id class x_min").unwrap();
-        assert!(message(&path).contains("neither a PNG nor a JPEG"));
-    }
-
-    #[test]
-    fn a_small_file_that_claims_an_enormous_image_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        for (width, height) in [(2_000_000_u32, 2_000_000_u32), (32_000, 32_000), (0, 5)] {
-            let mut bytes = png_bytes("a.png", &noise(2, 2)).unwrap();
-            bytes[16..20].copy_from_slice(&width.to_be_bytes());
-            bytes[20..24].copy_from_slice(&height.to_be_bytes());
-            let crc = crc32(&bytes[12..29]).to_be_bytes();
-            bytes[29..33].copy_from_slice(&crc);
-            let path = folder.path().join(format!("{width}.png"));
-            fs::write(&path, &bytes).unwrap();
-            let text = message(&path);
-            assert!(
-                text.starts_with("image ") && text.contains(".png"),
-                "{text}"
-            );
-            assert!(width == 0 || text.contains("too large"), "{text}");
-        }
-    }
-
-    /// The checksum of PNG chunks.
-    fn crc32(bytes: &[u8]) -> u32 {
-        !bytes.iter().fold(!0, |crc, byte| {
-            (0..8).fold(crc ^ u32::from(*byte), |crc, _| {
-                if crc & 1 == 1 {
-                    crc >> 1 ^ 0xEDB8_8320
-                } else {
-                    crc >> 1
-                }
-            })
-        })
-    }
-
-    #[test]
-    fn greyscale_alpha_and_sixteen_bits_become_eight_bit_rgb() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.png");
-        let grey = GrayImage::from_fn(3, 2, |x, y| Luma([(x * 40 + y) as u8]));
-        grey.save(&path).unwrap();
-        assert_eq!(load_rgb(&path).unwrap().get_pixel(2, 1).0, [81; 3]);
-
-        // A transparent pixel keeps its colour: alpha is ignored, not blended.
-        RgbaImage::from_pixel(3, 2, Rgba([9, 8, 7, 0]))
-            .save(&path)
-            .unwrap();
-        assert_eq!(load_rgb(&path).unwrap().get_pixel(0, 0).0, [9, 8, 7]);
-
-        // 128 and 129 lie on either side of a half of 257.
-        let deep: ImageBuffer<Rgb<u16>, _> =
-            ImageBuffer::from_pixel(3, 2, Rgb([128, 129, 65_535_u16]));
-        deep.save(&path).unwrap();
-        assert_eq!(load_rgb(&path).unwrap().get_pixel(0, 0).0, [0, 1, 255]);
-
-        let deep: ImageBuffer<Luma<u16>, _> = ImageBuffer::from_pixel(3, 2, Luma([25_700_u16]));
-        deep.save(&path).unwrap();
-        assert_eq!(load_rgb(&path).unwrap().get_pixel(0, 0).0, [100; 3]);
-    }
-
-    #[test]
-    fn a_pair_of_unequal_sizes_is_refused_naming_both_files_and_sizes() {
-        let folder = tempfile::tempdir().unwrap();
-        let (left, right) = (
-            folder.path().join("left_1.png"),
-            folder.path().join("right_1.png"),
-        );
-        save_png(&left, &noise(8, 6)).unwrap();
-        save_png(&right, &noise(8, 5)).unwrap();
-        let text = load_pair(&left, &right).unwrap_err().to_string();
-        for word in ["left_1.png", "8x6", "right_1.png", "8x5"] {
-            assert!(text.contains(word), "{text} should contain {word}");
-        }
-    }
-}
+mod tests;

@@ -14,7 +14,7 @@
 //!   |  YOLO11, decode, suppress                       [`detector`], [`nn`], [`kernels`]
 //!   v
 //! boxes in both images, or in the left one
-//!   |  same rows, positive disparity, best overall,   [`pairing`]
+//!   |  same rows, possible disparity, best overall,   [`pairing`]
 //!   |  or most alike pixels in the right image        [`pairing::search`]
 //!   v
 //! pairs of boxes
@@ -36,8 +36,9 @@
 //!
 //! * [`geometry`], [`world`], [`render`] and [`metrics`] know no tensors; [`detector`] and
 //!   [`ranging`] do not know each other; only [`train`] knows optimisers.
-//! * The library never prints and never reads the environment; long work reports to a
-//!   [`progress::Progress`].
+//! * The library never prints; long work reports to a [`progress::Progress`]. Of the environment it
+//!   reads two variables: `TWINSIGHT_TOKEN`, the token for `remote` devices (`worker`), and
+//!   `TWINSIGHT_SIMD`, which narrows the vectors of [`kernels`] for tests.
 //! * Bad input is an [`Error`] that names the file or value and the remedy.
 //! * Names say which space a number lives in: `pixel` (full image), `letterbox` (network input),
 //!   `grid` (feature cell), `camera` and `rig` (metres); angles are radians inside, degrees at the

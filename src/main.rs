@@ -4,6 +4,7 @@
 
 mod cli;
 
+use std::io::{self, IsTerminal as _};
 use std::panic;
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
@@ -24,7 +25,7 @@ pub(crate) const INTERRUPTED: u8 = 130;
 static DEFECT: Mutex<Option<String>> = Mutex::new(None);
 
 fn main() -> ExitCode {
-    prefer_processor();
+    set_environment();
     twinsight::kernels::keep_freed_memory();
     panic::set_hook(Box::new(|info| {
         let mut defect = DEFECT.lock().unwrap_or_else(PoisonError::into_inner);
@@ -36,10 +37,19 @@ fn main() -> ExitCode {
     }
 }
 
-/// Makes the processor Burn's default device. Burn loads an optimiser's state there before it moves
+/// Makes the processor Burn's default device, its server's log plain where nobody sees colours, and
+/// graphics drivers quiet where there is no desktop.
+///
+/// Burn loads an optimiser's state there before it moves
 /// it to where the network is; with GPU backends built in, that would open a graphics card that
-/// nobody asked for, or panic where there is none.
-fn prefer_processor() {
+/// nobody asked for, or panic where there is none. The server's log goes to standard output. To learn
+/// which card shows the desktop, a layer of Mesa's looks for one, and complains about a missing
+/// `XDG_RUNTIME_DIR` as if it were an error of ours.
+fn set_environment() {
+    let is_log = std::env::args_os().any(|word| word == "worker") && !io::stdout().is_terminal();
+    let has_desktop = ["XDG_RUNTIME_DIR", "DISPLAY"]
+        .iter()
+        .any(|name| std::env::var_os(name).is_some());
     #[allow(
         unsafe_code,
         reason = "no other thread exists yet that could read the environment"
@@ -47,6 +57,12 @@ fn prefer_processor() {
     // SAFETY: called first in `main`, before any thread is started.
     unsafe {
         std::env::set_var("BURN_DEVICE", "flex");
+        if is_log {
+            std::env::set_var("NO_COLOR", "1");
+        }
+        if !has_desktop {
+            std::env::set_var("NODEVICE_SELECT", "1");
+        }
     }
 }
 

@@ -1,8 +1,9 @@
 //! Which box of the right image is the same vehicle as a detection of the left image.
 //!
 //! In a rectified rig the two boxes of a vehicle lie on the same rows, are of about the same size,
-//! and the left one lies further right by the disparity `focal_px * baseline_m / z`. There are two
-//! ways to the right box, see [`PairingMode`]:
+//! and the left one lies further right by the disparity `focal_px * baseline_m / z`. That is above
+//! zero; as boxes and cameras are inexact, that of a vehicle near the horizon may come out slightly
+//! below. There are two ways to the right box, see [`PairingMode`]:
 //!
 //! * [`pair`] chooses among the detections of the right image. Of all one-to-one assignments that
 //!   obey the geometry, the one with the largest sum of affinities is taken, so that an early choice
@@ -272,7 +273,9 @@ fn affinity(
     let disparity = left.x - right.x;
     let width = f64::midpoint(left.width, right.width);
     let height = f64::midpoint(left.height, right.height);
-    let is_possible = disparity_range(width, height, rig, config).contains(&disparity);
+    let slack = config.slack(width);
+    let possible = disparity_range(width, height, rig, config);
+    let is_possible = (possible.start() - slack..=possible.end() + slack).contains(&disparity);
     // The row term halves at the edge of what is allowed and so never reaches 0.
     let row_term = if row_slack > 0.0 {
         1.0 - 0.5 * row_difference / row_slack
@@ -282,7 +285,8 @@ fn affinity(
     is_possible.then(|| row_term * (width_ratio * height_ratio).sqrt())
 }
 
-/// The disparities that a vehicle's box of this size may have, pixels of the left camera.
+/// The disparities that a vehicle whose box has this size may have, pixels of the left camera; above
+/// zero as long as the rig's baseline is, and without slack for boxes or cameras that are inexact.
 ///
 /// A side of `side` pixels and a disparity of d pixels make `side / d * baseline_m` metres, so the
 /// size of vehicles limits the disparity as the least depth does.
@@ -293,11 +297,9 @@ fn disparity_range(
     config: &PairingConfig,
 ) -> RangeInclusive<f64> {
     let side = width.max(height);
-    let slack = config.slack(width);
     let from_size = |side_m: f64| side * rig.baseline_m / side_m;
     let nearest = rig.disparity_px(config.least_depth_m);
-    from_size(config.largest_side_m).max(0.0) - slack
-        ..=from_size(config.least_side_m).min(nearest) + slack
+    from_size(config.largest_side_m).max(0.0)..=from_size(config.least_side_m).min(nearest)
 }
 
 #[cfg(test)]

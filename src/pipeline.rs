@@ -1,6 +1,8 @@
 //! The whole way from a stereo pair to metres: the library's front door.
 
 mod filter;
+mod note;
+mod run;
 mod sides;
 mod vehicle;
 
@@ -16,12 +18,12 @@ use crate::error::{Error, Result};
 use crate::geometry::StereoRig;
 use crate::pairing::{PairingConfig, PairingMode};
 use crate::ranging::{DistanceEstimator, RigNote, Sighting};
-use crate::train::StageFolder;
 
 use sides::Sides;
 use vehicle::class_name;
 
 pub use filter::VehicleFilter;
+pub use note::PairNote;
 pub(crate) use vehicle::Pair;
 pub use vehicle::{DetectedIn, Findings, SingleSided, StageTimes, Unmatched, Vehicle};
 
@@ -98,26 +100,12 @@ impl StereoRanger {
     /// Loads the best weights of a run folder.
     ///
     /// # Errors
-    /// A folder without both networks, or weights that cannot be used.
+    /// No such folder, one without both networks, or weights that cannot be used.
     pub fn load(run: impl AsRef<Path>, device: &Device) -> Result<Self> {
-        let run = run.as_ref();
-        let [detector, distance] = ["detector", "distance"].map(|stage| {
-            let path = StageFolder::new(run, stage).best();
-            if path.exists() {
-                return Ok(path);
-            }
-            Err(Error::weights(
-                path,
-                "does not exist",
-                format!(
-                    "train this run's {stage} first: twinsight train {stage} --run {}",
-                    run.display()
-                ),
-            ))
-        });
+        let [detector, distance] = run::weights(run.as_ref())?;
         Self::new(
-            VehicleDetector::load(&detector?, device)?,
-            DistanceEstimator::load(&distance?, device)?,
+            VehicleDetector::load(&detector, device)?,
+            DistanceEstimator::load(&distance, device)?,
         )
     }
 
@@ -284,7 +272,7 @@ impl StereoRanger {
             ));
         }
         let rig = self.rig_for((width, height))?;
-        let sorted: Vec<Sides> = pairs
+        let sorted: Vec<(Sides, Option<PairNote>)> = pairs
             .iter()
             .map(|images| {
                 let mut found: Vec<Vec<Detection>> = found.by_ref().take(sides).collect();
@@ -293,11 +281,15 @@ impl StereoRanger {
                         side.retain(|detection| classes.contains(&detection.class));
                     }
                 }
+                let detected = found.first().cloned().unwrap_or_default();
                 let sorted = Sides::new(*images, found, &rig, &self.options);
-                Sides {
+                let config = &self.options.pairing;
+                let note = PairNote::of_pairs(*images, &detected, &sorted.pairs, &rig, config);
+                let wanted = Sides {
                     pairs: self.filter.pairs(sorted.pairs),
                     alone: sorted.alone,
-                }
+                };
+                (wanted, note)
             })
             .collect();
         times.pair += started.elapsed();
@@ -306,7 +298,7 @@ impl StereoRanger {
         let sightings: Vec<Sighting> = pairs
             .iter()
             .zip(&sorted)
-            .flat_map(|(images, sides)| {
+            .flat_map(|(images, (sides, _))| {
                 sides.pairs.iter().map(|pair| Sighting {
                     images: *images,
                     boxes: [pair.left.box_pixel, pair.right],
@@ -316,7 +308,10 @@ impl StereoRanger {
         let mut distances_m = self.estimator.estimate(&sightings, &rig)?.into_iter();
         let findings = sorted
             .into_iter()
-            .map(|sides| self.findings(sides, &mut distances_m))
+            .map(|(sides, note)| Findings {
+                note,
+                ..self.findings(sides, &mut distances_m)
+            })
             .collect();
         times.range += started.elapsed();
         Ok(findings)
@@ -350,6 +345,7 @@ impl StereoRanger {
         Findings {
             vehicles,
             unmatched,
+            note: None,
         }
     }
 

@@ -4,6 +4,7 @@
 
 mod csv_file;
 mod json_lines;
+mod notes;
 mod pictures;
 
 use std::path::PathBuf;
@@ -13,9 +14,13 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use crate::error::Result;
-use crate::pipeline::{DetectedIn, Findings, StageTimes, StereoRanger, Unmatched, Vehicle};
+use crate::pipeline::{
+    DetectedIn, Findings, PairNote, StageTimes, StereoRanger, Unmatched, Vehicle,
+};
 use crate::progress::Progress;
 use crate::sources::StereoFrame;
+
+use notes::Notes;
 
 pub use csv_file::CsvFile;
 pub use json_lines::JsonLines;
@@ -67,6 +72,7 @@ impl Outcome {
             Ok(Findings {
                 vehicles,
                 unmatched,
+                ..
             }) => Self::Measured {
                 vehicles,
                 without_distance: unmatched,
@@ -167,7 +173,8 @@ impl PredictSummary {
 /// Measures frame after frame, `batch` at a time, and hands what is found to the sinks, in order.
 ///
 /// Stops after the batch at hand when the user asks for it, and says so in the summary. Memory does
-/// not grow with the number of frames.
+/// not grow with the number of frames. What is strange about the frames is noted once: sizes that
+/// the rig has to be assumed for, both images the same, left and right that look exchanged.
 ///
 /// # Errors
 /// A sink that fails. What it and the others have taken is theirs to finish.
@@ -180,6 +187,7 @@ pub fn predict(
 ) -> Result<PredictSummary> {
     let began = Instant::now();
     let mut summary = PredictSummary::default();
+    let mut notes = Notes::default();
     let mut frames = frames.peekable();
     while frames.peek().is_some() {
         if progress.interrupted() {
@@ -188,7 +196,11 @@ pub fn predict(
         }
         let taken: Vec<StereoFrame> = frames.by_ref().take(batch.max(1)).collect();
         let count = taken.len() as u64;
-        for (record, images) in measured(ranger, taken, &mut summary) {
+        for images in taken.iter().filter_map(|frame| frame.images.as_ref().ok()) {
+            notes.size(images[0].dimensions(), ranger, progress);
+        }
+        for (record, images, note) in measured(ranger, taken, &mut summary) {
+            notes.frame(&record, note, progress);
             let images = images.as_ref().map(|[left, right]| [left, right]);
             summary.count(&record);
             let writing = Instant::now();
@@ -203,17 +215,18 @@ pub fn predict(
             summary.vehicles, summary.failed
         ));
     }
+    notes.finish(progress);
     summary.elapsed = began.elapsed();
     Ok(summary)
 }
 
-/// What is said of each frame, and its images. Where a batch fails, its frames are tried one by one,
+/// What is said of each frame, its images and what is strange about them. Where a batch fails, its frames are tried one by one,
 /// so that each answers for itself.
 fn measured(
     ranger: &StereoRanger,
     frames: Vec<StereoFrame>,
     summary: &mut PredictSummary,
-) -> Vec<(FrameRecord, Option<[RgbImage; 2]>)> {
+) -> Vec<(FrameRecord, Option<[RgbImage; 2]>, Option<PairNote>)> {
     let pairs: Vec<[&RgbImage; 2]> = frames
         .iter()
         .filter_map(|frame| frame.images.as_ref().ok())
@@ -249,6 +262,7 @@ fn measured(
             ),
             Err(reason) => (None, Err(reason)),
         };
+        let note = findings.as_ref().ok().and_then(|found| found.note);
         let [left, right] = frame.origins;
         let record = FrameRecord {
             frame: frame.name,
@@ -257,7 +271,7 @@ fn measured(
             time_s: frame.time_s,
             outcome: Outcome::new(findings),
         };
-        (record, images)
+        (record, images, note)
     });
     told.collect()
 }

@@ -33,8 +33,9 @@ mod names;
 mod sequence;
 mod video;
 
+use std::collections::BTreeSet;
 use std::panic;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
@@ -70,6 +71,7 @@ pub struct FrameSource {
     len: Option<u64>,
     is_single: bool,
     rate_hz: Option<f64>,
+    folders: Vec<PathBuf>,
 }
 
 impl std::fmt::Debug for FrameSource {
@@ -174,7 +176,10 @@ impl FrameSource {
     }
 
     fn of_files(entries: Vec<files::Entry>) -> Self {
+        let files = entries.iter().flat_map(files::Entry::files);
+        let folders: BTreeSet<&Path> = files.filter_map(Path::parent).collect();
         Self {
+            folders: folders.into_iter().map(Path::to_path_buf).collect(),
             len: Some(entries.len() as u64),
             frames: Box::new(files::frames(entries)),
             is_single: false,
@@ -187,6 +192,7 @@ impl FrameSource {
             len: frames.expected(),
             rate_hz: frames.rate_hz(),
             is_single: false,
+            folders: Vec::new(),
             frames: Box::new(frames),
         }
     }
@@ -204,6 +210,11 @@ impl FrameSource {
     /// Whether it is one pair that was named by its files, rather than a series of them.
     pub fn is_single(&self) -> bool {
         self.is_single
+    }
+
+    /// The folders that images are read from; the empty path is the current one.
+    pub fn folders(&self) -> &[PathBuf] {
+        &self.folders
     }
 
     /// Frames a second, of videos.

@@ -148,9 +148,9 @@ impl StateDict {
     pub fn load(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
         let broken = |source: safetensors::SafeTensorError| {
-            let remedy = if bytes.starts_with(b"PK") || bytes.first() == Some(&0x80) {
-                "this looks like a pickled PyTorch file, which is never executed here: export its \
-                 state dict to safetensors first"
+            let remedy = if is_pickled(path, &bytes) {
+                "PyTorch's own files are pickled, which is never executed here: export the state \
+                 dict to safetensors first"
             } else {
                 "the file is truncated or not a safetensors file: train again or restore a copy"
             };
@@ -230,6 +230,17 @@ impl StateDict {
             "give the weights of this network, scale and class count",
         ))
     }
+}
+
+/// Whether a file looks like one of PyTorch's own: by its name, or as a zip archive or pickle begins.
+fn is_pickled(path: &Path, bytes: &[u8]) -> bool {
+    const ENDINGS: [&str; 5] = ["pt", "pth", "ckpt", "pkl", "bin"];
+    let ending = path.extension().unwrap_or_default();
+    bytes.starts_with(b"PK")
+        || bytes.first() == Some(&0x80)
+        || ENDINGS
+            .iter()
+            .any(|known| ending.eq_ignore_ascii_case(known))
 }
 
 fn chunks<const N: usize>(data: &[u8], convert: impl Fn([u8; N]) -> f32) -> Vec<f32> {

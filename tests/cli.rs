@@ -13,6 +13,8 @@ mod evaluate;
 mod formats;
 #[path = "cli/generate.rs"]
 mod generate;
+#[path = "cli/outputs.rs"]
+mod outputs;
 #[path = "cli/pairing.rs"]
 mod pairing;
 #[path = "cli/predict.rs"]
@@ -151,7 +153,12 @@ fn a_missing_command_and_an_unknown_option_are_usage_errors() {
 
 #[test]
 fn the_device_list_has_every_kind_and_the_processor_is_ready() {
-    let list = Workplace::new().line("devices").success();
+    let mut command = Workplace::new().command();
+    command.arg("devices");
+    command.env_remove("XDG_RUNTIME_DIR").env_remove("DISPLAY");
+    let outcome = Outcome::of(command.output().unwrap());
+    assert_eq!(outcome.stderr, "", "drivers have nothing to say");
+    let list = outcome.success();
     for kind in ["flex", "ndarray", "wgpu", "cuda"] {
         assert!(
             list.lines().any(|line| line.starts_with(kind)),
@@ -411,7 +418,14 @@ fn a_pair_that_cannot_be_used_is_refused_by_name() {
     }
     place
         .line("predict --run r left.png right.png")
-        .error_says(&["r/detector", "train"]);
+        .error_says(&["run r", "no such folder", "twinsight train --run r"]);
+    place.write("runs/a/config.json", "{}");
+    place
+        .line("predict --run runs/b left.png right.png")
+        .error_says(&["run runs/b", "no such folder", "give one of runs/a"]);
+    place
+        .line("predict --run runs/a left.png right.png")
+        .error_says(&["runs/a/detector", "twinsight train detector --run runs/a"]);
 }
 
 #[test]
@@ -433,6 +447,12 @@ fn weights_that_cannot_be_used_are_named_before_the_training() {
     place
         .line(&format!("{train} other.safetensors"))
         .error_says(&["other.safetensors"]);
+    place.write("other.pt", "no weights");
+    place.line(&format!("{train} other.pt")).error_says(&[
+        "other.pt",
+        "never executed",
+        "safetensors",
+    ]);
 }
 
 #[test]

@@ -1,12 +1,12 @@
 //! `--calib` and what belongs to it.
 
+use std::fmt::Display;
 use std::path::PathBuf;
 
 use clap::Args;
 use twinsight::Result;
 use twinsight::calibration::{CalibratedRig, ImageState, LoadOptions, RigOptions, load};
 use twinsight::geometry::StereoCalibration;
-use twinsight::pipeline::StereoRanger;
 
 use super::{stderr, values};
 
@@ -35,6 +35,11 @@ pub struct CalibrationArgs {
 }
 
 impl CalibrationArgs {
+    /// The files of the calibration.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.calib
+    }
+
     /// Reads the calibration, if one is given.
     pub fn load(&self) -> Result<Option<StereoCalibration>> {
         if self.calib.is_empty() {
@@ -76,10 +81,10 @@ impl CalibrationArgs {
     }
 }
 
-/// Says in what the images differ from those that the run was trained on.
-pub fn say_notes(ranger: &StereoRanger, size: (u32, u32), calibrated: Option<&CalibratedRig>) {
-    let resized = calibrated.and_then(CalibratedRig::note);
-    for note in resized.into_iter().chain(ranger.rig_notes(size)) {
+/// Says what is to be known of the images, such as in what they differ from those that the run was
+/// trained on.
+pub fn say(notes: impl IntoIterator<Item = impl Display>) {
+    for note in notes {
         stderr::line(&format!("note: {note}"));
     }
 }

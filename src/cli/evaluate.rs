@@ -101,7 +101,8 @@ impl EvaluateArgs {
             .is_some_and(|path| path.as_os_str() == "-");
         let json_path = self.json.as_ref().filter(|_| !is_printed);
         if let Some(path) = json_path {
-            files::check_target(path)?;
+            let inputs: Vec<_> = files::of_run(&self.run).collect();
+            files::check_target(path, files::Kind::JSON, &inputs)?;
         }
         let request = EvaluateRequest {
             run: &self.run,

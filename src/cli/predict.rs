@@ -7,16 +7,18 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
+use image::RgbImage;
 use twinsight::calibration::CalibratedRig;
 use twinsight::device::DeviceName;
 use twinsight::geometry::{Polygon, StereoCalibration};
 use twinsight::pairing::PairingMode;
-use twinsight::pipeline::{PredictOptions, SingleSided, StereoRanger, VehicleFilter};
+use twinsight::pipeline::{PairNote, PredictOptions, SingleSided, StereoRanger, VehicleFilter};
 use twinsight::predict::{Sink, predict};
 use twinsight::sources::{FrameSource, Layout, StereoFrame};
 use twinsight::{Error, Result, files};
 
-use super::calibration::{CalibrationArgs, say_notes};
+use super::calibration::{CalibrationArgs, say};
+use super::files::of_run;
 use super::{terminal, values};
 use output::Outputs;
 
@@ -94,7 +96,7 @@ pub struct PredictArgs {
     /// Write a table with one row a vehicle; - is standard output, in place of JSON
     #[arg(long, value_name = "FILE", help_heading = "Results")]
     csv: Option<PathBuf>,
-    /// Draw boxes and distances: a PNG file for one pair, a folder of them for many
+    /// Draw boxes and distances: a PNG or JPEG file for one pair, a folder of PNG files for many
     #[arg(long, value_name = "PATH", help_heading = "Results")]
     annotate: Option<PathBuf>,
     /// Write the drawings as a video (mp4, mkv, mov, webm or avi); needs the program ffmpeg
@@ -165,10 +167,18 @@ impl PredictArgs {
         let outputs = self.outputs();
         outputs.check_names()?;
         let source = FrameSource::open(&self.inputs, self.layout)?;
+        outputs.check_targets(source.is_single(), &self.files(), source.folders())?;
         if source.is_single() {
             return self.run_one(source, load, &outputs, quiet);
         }
         self.run_many(source, load, &outputs, quiet)
+    }
+
+    /// Everything that is read, but for what is in folders.
+    fn files(&self) -> Vec<PathBuf> {
+        let roi = self.roi.as_ref().map(PathBuf::from);
+        let given = self.inputs.iter().chain(self.calibration.files()).cloned();
+        given.chain(roi).chain(of_run(&self.run)).collect()
     }
 
     fn outputs(&self) -> Outputs<'_> {
@@ -181,24 +191,31 @@ impl PredictArgs {
         }
     }
 
-    /// The ranger for images of this size, and what rectifies them. The calibration is looked at
-    /// before the networks are loaded.
+    /// The ranger for such images, and what rectifies them. The calibration is looked at before the
+    /// networks are loaded.
     fn on_rig(
         &self,
         load: impl FnOnce() -> Result<StereoRanger>,
         calibration: Option<&StereoCalibration>,
-        size: (u32, u32),
+        [left, right]: [&RgbImage; 2],
         quiet: bool,
     ) -> Result<(StereoRanger, Option<CalibratedRig>)> {
         let calibrated = calibration
-            .map(|calibration| self.calibration.rig(calibration, size))
+            .map(|calibration| self.calibration.rig(calibration, left.dimensions()))
             .transpose()?;
         let mut ranger = load()?;
         if let Some(calibrated) = &calibrated {
             ranger = ranger.with_rig(*calibrated.rig());
         }
-        if !quiet {
-            say_notes(&ranger, size, calibrated.as_ref());
+        if let Some(calibrated) = calibrated.as_ref().filter(|_| !quiet) {
+            say(calibrated.note());
+            // Of the same images that are still the same the ranger will tell.
+            if let Some(note) = PairNote::of_images([left, right]) {
+                let [left, right] = calibrated.rectify([left.clone(), right.clone()])?;
+                if PairNote::of_images([&left, &right]).is_none() {
+                    say([note]);
+                }
+            }
         }
         Ok((ranger, calibrated))
     }
@@ -211,20 +228,25 @@ impl PredictArgs {
         outputs: &Outputs,
         quiet: bool,
     ) -> Result<()> {
-        outputs.check_targets(true)?;
         let Some(frame) = source.read_ahead(1)?.next() else {
             return Ok(());
         };
         let calibration = self.calibration.load()?;
         let mut images = frame.images?;
-        let size = images[0].dimensions();
-        let (ranger, calibrated) = self.on_rig(load, calibration.as_ref(), size, quiet)?;
+        let pair = images.each_ref();
+        let (ranger, calibrated) = self.on_rig(load, calibration.as_ref(), pair, quiet)?;
         if let Some(calibrated) = &calibrated {
             images = calibrated.rectify(images)?;
         }
         let [left, right] = images;
+        if !quiet {
+            say(ranger.rig_notes(left.dimensions()));
+        }
         let (mut found, _) = ranger.find(&[[&left, &right]])?;
         let found = found.pop().unwrap_or_default();
+        if !quiet {
+            say(found.note);
+        }
         outputs.write_one(&frame.name, frame.origins, [&left, &right], found)
     }
 
@@ -236,29 +258,20 @@ impl PredictArgs {
         outputs: &Outputs,
         quiet: bool,
     ) -> Result<()> {
-        outputs.check_targets(false)?;
         let batch = usize::from(self.batch);
         let (len, rate_hz) = (source.len(), source.rate_hz());
         let calibration = self.calibration.load()?;
         let mut frames = source.read_ahead(2 * batch)?;
         // The first usable frame tells the size of all, and with it the rig.
-        let mut first = Vec::new();
-        let size = loop {
-            let Some(frame) = frames.next() else {
-                break None;
-            };
-            let size = frame
-                .images
-                .as_ref()
-                .ok()
-                .map(|[left, _]| left.dimensions());
+        let mut first: Vec<StereoFrame> = Vec::new();
+        while first.last().is_none_or(|frame| frame.images.is_err())
+            && let Some(frame) = frames.next()
+        {
             first.push(frame);
-            if size.is_some() {
-                break size;
-            }
-        };
-        let (ranger, calibrated) = match size {
-            Some(size) => self.on_rig(load, calibration.as_ref(), size, quiet)?,
+        }
+        let usable = first.last().and_then(|frame| frame.images.as_ref().ok());
+        let (ranger, calibrated) = match usable {
+            Some(images) => self.on_rig(load, calibration.as_ref(), images.each_ref(), quiet)?,
             None => (load()?, None),
         };
         let frames = first
@@ -312,8 +325,19 @@ fn region(text: &str) -> Result<Polygon> {
         } => Error::value(format!("--roi \"{text}\""), problem, remedy),
         error => error,
     };
-    if path.is_file() {
+    if path.exists() || is_path(text) {
         return files::read_text(path)?.parse().map_err(named);
     }
     text.parse().map_err(named)
+}
+
+/// Whether a text that is the name of no file is meant to be one: it has letters, and no comma or the
+/// ending of a file.
+fn is_path(text: &str) -> bool {
+    let has_letters = |text: &str| text.contains(|c: char| c.is_alphabetic());
+    let ending = Path::new(text)
+        .extension()
+        .and_then(|ending| ending.to_str());
+    let is_named = ending.is_some_and(|ending| has_letters(ending) && !ending.contains([',', ' ']));
+    has_letters(text) && (is_named || !text.contains(','))
 }

@@ -44,7 +44,12 @@ impl ReportArgs {
             (None, None) => PathBuf::from("report.html"),
         };
         if self.out.is_some() {
-            files::check_target(&out)?;
+            let inputs: Vec<_> = self
+                .runs
+                .iter()
+                .flat_map(|run| files::of_run(run))
+                .collect();
+            files::check_target(&out, files::Kind::PAGE, &inputs)?;
         }
         let missing = report(&self.runs, &out)?;
         if !quiet {

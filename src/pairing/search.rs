@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use super::correlation::{GreyPlane, Grid, Template};
 use super::{PairingConfig, disparity_range};
 use crate::detector::detection::Detection;
-use crate::geometry::{Camera, PixelBox, StereoRig};
+use crate::geometry::{PixelBox, StereoRig};
 
 /// Part of a box's width and height that is compared. Boxes hold background around the vehicle,
 /// which moves by another disparity: above and below more than beside it, because vehicles are
@@ -44,6 +44,11 @@ const CANDIDATES: usize = 3;
 
 /// Rows above and below the epipolar line that are tried, pixels: what a usual calibration leaves.
 const ROW_SLACK_PX: usize = 2;
+
+/// A disparity that is measured may lie below the least one of the box's size by this, pixels: what a
+/// calibration leaves along the rows. The slack of boxes that a detector placed is many times larger,
+/// and with it exchanged images gave plausible distances.
+const DISPARITY_SLACK_PX: f64 = 1.0;
 
 /// Least correlation of a partner. On rendered frames 19 of 20 true partners reach 0.73, and in the
 /// image of another scene one in ten boxes of up to 48 pixels, and one in a hundred larger ones,
@@ -134,18 +139,9 @@ pub fn search_from_right(
     rig: &StereoRig,
     config: &PairingConfig,
 ) -> Searched {
-    let mirrored_camera = |camera: &Camera| Camera {
-        center_x_px: f64::from(camera.width) - camera.center_x_px,
-        ..*camera
-    };
     let mirrored_box = |b: &PixelBox, image: &RgbImage| {
         let width = f64::from(image.width());
         PixelBox::new(width - b.x_max, b.y_min, width - b.x_min, b.y_max)
-    };
-    let mirrored_rig = StereoRig {
-        left: mirrored_camera(&rig.right),
-        right: mirrored_camera(&rig.left),
-        baseline_m: rig.baseline_m,
     };
     let mirrored: Vec<Detection> = right
         .iter()
@@ -158,11 +154,14 @@ pub fn search_from_right(
     let mut searched = search(
         [&right_image, &left_image],
         &mirrored,
-        &mirrored_rig,
+        &rig.mirrored(),
         config,
     );
+    // Measured in pixels of the right camera, which was the left one.
+    let scale = rig.left.focal_x_px / rig.right.focal_x_px;
     for partner in &mut searched.partners {
         partner.box_pixel = mirrored_box(&partner.box_pixel, images[0]);
+        partner.disparity_px *= scale;
     }
     searched
 }
@@ -394,6 +393,8 @@ struct Search<'a> {
     levels: Vec<Level>,
     /// Disparity of the first place of the finest strip; every next one has 1 less.
     first_disparity_px: f64,
+    /// Lower ones no vehicle has.
+    least_disparity_px: f64,
 }
 
 impl<'a> Search<'a> {
@@ -412,11 +413,13 @@ impl<'a> Search<'a> {
         let scale = right_from_left.scale();
 
         // The strip has the scale of the left image, whatever the right camera's.
-        let range = disparity_range(left_box.width(), left_box.height(), rig, config);
+        let (width, height) = (left_box.width(), left_box.height());
+        let possible = disparity_range(width, height, rig, config);
+        let least_disparity_px = possible.start() - DISPARITY_SLACK_PX;
         let disparity_at = |right_x: f64| right_from_left.disparity_px(patch_x, right_x);
         let beyond_left = -(patch.grid.width as f64) * scale[0];
-        let largest = range.end().min(disparity_at(beyond_left));
-        let least = range.start().max(disparity_at(right_size[0]));
+        let largest = (possible.end() + config.slack(width)).min(disparity_at(beyond_left));
+        let least = least_disparity_px.max(disparity_at(right_size[0]));
         let places = (largest - least).ceil();
         if !(0.0..MOST_PLACES).contains(&places) {
             return None;
@@ -461,6 +464,7 @@ impl<'a> Search<'a> {
             right_size,
             levels,
             first_disparity_px: disparity_at(first_x),
+            least_disparity_px,
         })
     }
 
@@ -502,6 +506,10 @@ impl<'a> Search<'a> {
         let position =
             best.x as f64 + vertex(before.correlation, best.correlation, after.correlation);
         let disparity_px = self.first_disparity_px - position;
+        // The strip has places beyond the range, so that its last one has neighbours.
+        if disparity_px < self.least_disparity_px {
+            return None;
+        }
         let [width, height] = self.right_size;
         let moved = self.right_from_left.moved(&self.left_box, disparity_px);
         let box_pixel = moved.clipped(width, height);

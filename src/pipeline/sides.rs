@@ -5,7 +5,7 @@ use image::RgbImage;
 use super::PredictOptions;
 use super::vehicle::{DetectedIn, Pair, SingleSided};
 use crate::detector::Detection;
-use crate::geometry::StereoRig;
+use crate::geometry::{PixelBox, StereoRig};
 use crate::pairing::search::{SAME_VEHICLE_IOU, search, search_from_right};
 use crate::pairing::{PairingMode, pair};
 
@@ -38,6 +38,8 @@ impl Sides {
                     right: right[r].box_pixel,
                     score: f32::midpoint(left[l].score, right[r].score),
                     detected_in: DetectedIn::Both,
+                    disparity_px: None,
+                    surface_distance_m: None,
                 };
                 let only = |of: &[Detection], which: &[usize]| -> Vec<Detection> {
                     which.iter().map(|&i| of[i]).collect()
@@ -62,11 +64,10 @@ impl Sides {
         }
 
         let searched = search(images, &left_only, rig, config);
-        let found_right = searched.partners.iter().map(|partner| Pair {
-            left: left_only[partner.left],
-            right: partner.box_pixel,
-            score: left_only[partner.left].score,
-            detected_in: DetectedIn::Left,
+        let found_right = searched.partners.iter().map(|partner| {
+            let left = left_only[partner.left];
+            let boxes = [left, at(partner.box_pixel, left)];
+            Pair::searched(boxes, DetectedIn::Left, partner.disparity_px, rig)
         });
         add_new(&mut pairs, found_right.collect());
         let left_alone = searched.left_only.iter().map(|&i| left_only[i]).collect();
@@ -83,14 +84,10 @@ impl Sides {
         let mut right_alone = Vec::new();
         if !right_only.is_empty() {
             let searched = search_from_right(images, &right_only, rig, config);
-            let found_left = searched.partners.iter().map(|partner| Pair {
-                left: Detection {
-                    box_pixel: partner.box_pixel,
-                    ..right_only[partner.left]
-                },
-                right: right_only[partner.left].box_pixel,
-                score: right_only[partner.left].score,
-                detected_in: DetectedIn::Right,
+            let found_left = searched.partners.iter().map(|partner| {
+                let right = right_only[partner.left];
+                let boxes = [at(partner.box_pixel, right), right];
+                Pair::searched(boxes, DetectedIn::Right, partner.disparity_px, rig)
             });
             add_new(&mut pairs, found_left.collect());
             right_alone = searched.left_only.iter().map(|&i| right_only[i]).collect();
@@ -99,6 +96,14 @@ impl Sides {
             pairs,
             alone: [left_alone, right_alone],
         }
+    }
+}
+
+/// A detection as it appears in the other image.
+fn at(box_pixel: PixelBox, detection: Detection) -> Detection {
+    Detection {
+        box_pixel,
+        ..detection
     }
 }
 
@@ -121,7 +126,6 @@ fn add_new(pairs: &mut Vec<Pair>, searched: Vec<Pair>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::PixelBox;
     use image::Rgb;
 
     const SIZE: [u32; 2] = [320, 180];
@@ -184,6 +188,11 @@ mod tests {
             assert_eq!((pairs[0].detected_in, pairs[0].score), (flag, 0.8));
             assert!((left.box_pixel.center()[0] - 160.0).abs() < 0.2, "{left:?}");
             assert!((right.center()[0] - 144.0).abs() < 0.2, "{right:?}");
+            let disparity_px = pairs[0].disparity_px.unwrap();
+            assert!((disparity_px - 16.0).abs() < 0.2, "{disparity_px}");
+            // 160 pixels of focal length times 0.8 m over 16 pixels.
+            let surface_m = pairs[0].surface_distance_m.unwrap();
+            assert!((surface_m - 8.0).abs() < 0.15, "{surface_m}");
             assert!(alone.iter().all(Vec::is_empty));
             assert!(sides(&found, SingleSided::Drop).pairs.is_empty());
         }
@@ -199,6 +208,10 @@ mod tests {
         let pairs = sides(&found, SingleSided::Search).pairs;
         assert_eq!(pairs.len(), 1, "{pairs:?}");
         assert_eq!(pairs[0].detected_in, DetectedIn::Both);
+        assert_eq!(
+            (pairs[0].disparity_px, pairs[0].surface_distance_m),
+            (None, None)
+        );
         assert!((pairs[0].score - 0.7).abs() < 1e-6);
     }
 

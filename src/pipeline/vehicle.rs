@@ -6,8 +6,9 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use super::note::PairNote;
 use crate::detector::Detection;
-use crate::geometry::PixelBox;
+use crate::geometry::{PixelBox, StereoRig};
 
 /// In which images the detector saw a vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
@@ -93,6 +94,16 @@ pub struct Vehicle {
     /// Where the detector saw it; a box in the other image was searched.
     #[serde(default)]
     pub detected_in: DetectedIn,
+    /// Disparity of its visible surface, pixels of the left image counted from the principal points,
+    /// where its box in the other image was searched; None where the detector saw it in both. Above
+    /// 0 but for vehicles near the horizon, see [`pairing`](crate::pairing).
+    #[serde(default)]
+    pub disparity_px: Option<f64>,
+    /// What this disparity alone says: from the midpoint between the cameras to the visible surface,
+    /// metres. The centre of a vehicle lies further away, by half of its length for one seen from
+    /// behind. None without a disparity above 0.
+    #[serde(default)]
+    pub surface_distance_m: Option<f64>,
 }
 
 /// A vehicle that one image shows and that was not found in the other one: no distance.
@@ -116,6 +127,8 @@ pub struct Findings {
     pub vehicles: Vec<Vehicle>,
     /// Vehicles without one; always empty unless [`SingleSided::Keep`] is asked for.
     pub unmatched: Vec<Unmatched>,
+    /// What is strange about the two images.
+    pub note: Option<PairNote>,
 }
 
 /// Time spent in each part of an estimate.
@@ -141,9 +154,31 @@ pub(crate) struct Pair {
     pub score: f32,
     /// As [`Vehicle::detected_in`].
     pub detected_in: DetectedIn,
+    /// As [`Vehicle::disparity_px`].
+    pub disparity_px: Option<f64>,
+    /// As [`Vehicle::surface_distance_m`].
+    pub surface_distance_m: Option<f64>,
 }
 
 impl Pair {
+    /// A vehicle whose box in the right image is its left one moved by a measured disparity, or the
+    /// other way round.
+    pub fn searched(
+        [left, right]: [Detection; 2],
+        detected_in: DetectedIn,
+        disparity_px: f64,
+        rig: &StereoRig,
+    ) -> Self {
+        Self {
+            left,
+            right: right.box_pixel,
+            score: left.score,
+            detected_in,
+            disparity_px: Some(disparity_px),
+            surface_distance_m: rig.triangulated_m(left.box_pixel.center(), disparity_px),
+        }
+    }
+
     /// The vehicle, now that its distance is known.
     pub fn at(&self, distance_m: f64, classes: &[String]) -> Vehicle {
         Vehicle {
@@ -153,6 +188,8 @@ impl Pair {
             class: class_name(self.left.class, classes),
             distance_m,
             detected_in: self.detected_in,
+            disparity_px: self.disparity_px,
+            surface_distance_m: self.surface_distance_m,
         }
     }
 }

@@ -11,7 +11,7 @@ use crate::geometry::PixelBox;
 use crate::pipeline::DetectedIn;
 
 /// The columns.
-const HEADER: [&str; 15] = [
+const HEADER: [&str; 17] = [
     "frame",
     "time_s",
     "vehicle",
@@ -27,6 +27,8 @@ const HEADER: [&str; 15] = [
     "right_y_min",
     "right_x_max",
     "right_y_max",
+    "disparity_px",
+    "surface_distance_m",
 ];
 
 /// A CSV file that is being written. Frames without vehicles, and failed ones, have no row.
@@ -64,7 +66,8 @@ impl CsvFile {
                          score: f32,
                          distance_m: Option<f64>,
                          detected_in: DetectedIn,
-                         boxes: [Option<&PixelBox>; 2]| {
+                         boxes: [Option<&PixelBox>; 2],
+                         surface: [Option<f64>; 2]| {
             number += 1;
             let shown = |value: Option<f64>| value.map_or_else(String::new, |v| v.to_string());
             let mut row = vec![
@@ -80,6 +83,7 @@ impl CsvFile {
                 let edges = b.map(|b| [b.x_min, b.y_min, b.x_max, b.y_max]);
                 row.extend((0..4).map(|i| shown(edges.map(|edges| edges[i]))));
             }
+            row.extend(surface.map(shown));
             writer.write_record(row)
         };
         let written = match &record.outcome {
@@ -89,7 +93,9 @@ impl CsvFile {
             } => {
                 let with = vehicles.iter().try_for_each(|v| {
                     let boxes = [Some(&v.left), Some(&v.right)];
-                    write(&v.class, v.score, Some(v.distance_m), v.detected_in, boxes)
+                    let surface = [v.disparity_px, v.surface_distance_m];
+                    let distance_m = Some(v.distance_m);
+                    write(&v.class, v.score, distance_m, v.detected_in, boxes, surface)
                 });
                 let without = without_distance.iter().try_for_each(|v| {
                     let is_left = v.detected_in == DetectedIn::Left;
@@ -97,7 +103,7 @@ impl CsvFile {
                         is_left.then_some(&v.box_pixel),
                         (!is_left).then_some(&v.box_pixel),
                     ];
-                    write(&v.class, v.score, None, v.detected_in, boxes)
+                    write(&v.class, v.score, None, v.detected_in, boxes, [None; 2])
                 });
                 with.and(without)
             }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::geometry::PixelBox;
 
-fn record(outcome: Outcome) -> FrameRecord {
+pub(super) fn record(outcome: Outcome) -> FrameRecord {
     FrameRecord {
         frame: "00042".to_owned(),
         left: "l.png".to_owned(),
@@ -11,7 +11,7 @@ fn record(outcome: Outcome) -> FrameRecord {
     }
 }
 
-fn vehicle(detected_in: DetectedIn) -> Vehicle {
+pub(super) fn vehicle(detected_in: DetectedIn) -> Vehicle {
     Vehicle {
         left: PixelBox::new(1.0, 2.0, 3.5, 4.0),
         right: PixelBox::new(0.0, 2.0, 2.5, 4.0),
@@ -19,6 +19,8 @@ fn vehicle(detected_in: DetectedIn) -> Vehicle {
         class: "car, \"red\"".to_owned(),
         distance_m: 12.25,
         detected_in,
+        disparity_px: (detected_in != DetectedIn::Both).then_some(1.5),
+        surface_distance_m: (detected_in != DetectedIn::Both).then_some(11.75),
     }
 }
 
@@ -31,7 +33,7 @@ fn alone() -> Unmatched {
     }
 }
 
-fn measured(vehicles: Vec<Vehicle>, without_distance: Vec<Unmatched>) -> Outcome {
+pub(super) fn measured(vehicles: Vec<Vehicle>, without_distance: Vec<Unmatched>) -> Outcome {
     Outcome::Measured {
         vehicles,
         without_distance,
@@ -63,11 +65,30 @@ fn a_line_of_json_says_what_was_found_or_why_nothing_could_be() {
     for part in [
         r#""left":{"x_min":1.0,"y_min":2.0,"x_max":3.5,"y_max":4.0}"#,
         r#""distance_m":12.25,"detected_in":"both""#,
+        r#""disparity_px":null,"surface_distance_m":null"#,
         r#""without_distance":[{"detected_in":"right","box":{"x_min":5.0"#,
     ] {
         assert!(line.contains(part), "{part} in {line}");
     }
     assert_eq!(line.matches('\n').count(), 1);
+    let searched = record(measured(vec![vehicle(DetectedIn::Left)], vec![]));
+    let line = searched.to_line().unwrap();
+    assert!(
+        line.contains(r#""disparity_px":1.5,"surface_distance_m":11.75"#),
+        "{line}"
+    );
+}
+
+#[test]
+fn lines_of_programs_that_did_not_tell_the_disparity_are_read() {
+    let record = record(measured(vec![vehicle(DetectedIn::Both)], vec![]));
+    let line = record.to_line().unwrap();
+    let without = line.replace(r#","disparity_px":null,"surface_distance_m":null"#, "");
+    assert!(without.len() < line.len());
+    assert_eq!(
+        serde_json::from_str::<FrameRecord>(&without).unwrap(),
+        record
+    );
 }
 
 #[test]
@@ -116,13 +137,16 @@ fn a_table_has_one_row_a_vehicle_under_its_header() {
             "0",
             "2",
             "2.5",
-            "4"
+            "4",
+            "1.5",
+            "11.75"
         ]
     );
     assert_eq!(
         rows[1],
         [
-            "00042", "", "2", "truck", "0.25", "", "right", "", "", "", "", "5", "6", "7", "8"
+            "00042", "", "2", "truck", "0.25", "", "right", "", "", "", "", "5", "6", "7", "8", "",
+            ""
         ]
     );
     let without = FrameRecord {

@@ -6,7 +6,7 @@ use std::time::Instant;
 use super::StereoFrame;
 use super::layout::Layout;
 use crate::error::{Error, Result};
-use crate::imaging::{load_pair, load_rgb};
+use crate::imaging::{load_pair, load_upright};
 
 /// A frame that has not been read.
 #[derive(Debug)]
@@ -75,7 +75,7 @@ impl Entry {
         match &self.files {
             Files::Pair([left, right]) => load_pair(left, right),
             Files::Stacked(file, layout) => {
-                layout.split(&load_rgb(file)?, &file.display().to_string())
+                layout.split(&load_upright(file)?, &file.display().to_string())
             }
             Files::Unusable {
                 problem, remedy, ..
@@ -85,6 +85,16 @@ impl Entry {
                 *remedy,
             )),
         }
+    }
+
+    /// The files that there are; both sides of a picture that shows both are one.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        let files = match &self.files {
+            Files::Pair(files) | Files::Unusable { origins: files, .. } => files.as_slice(),
+            Files::Stacked(file, _) => std::slice::from_ref(file),
+        };
+        let is_there = |path: &&PathBuf| !path.as_os_str().is_empty();
+        files.iter().filter(is_there).map(PathBuf::as_path)
     }
 
     fn origins(&self) -> [String; 2] {

@@ -218,6 +218,7 @@ fn counted(made: &Arc<AtomicUsize>) -> FrameSource {
         len: Some(1000),
         is_single: false,
         rate_hz: None,
+        folders: Vec::new(),
     }
 }
 
@@ -256,6 +257,7 @@ fn a_reader_that_panics_does_not_look_like_the_end() {
         len: None,
         is_single: false,
         rate_hz: None,
+        folders: Vec::new(),
     };
     let mut frames = source.read_ahead(1).unwrap();
     let outcome = panic::catch_unwind(panic::AssertUnwindSafe(|| frames.next().is_none()));

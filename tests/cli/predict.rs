@@ -255,6 +255,83 @@ fn a_vehicle_that_one_image_shows_is_reported_as_asked() {
 }
 
 #[test]
+fn the_measured_disparity_and_what_it_means_are_told() {
+    let place = with_pairs(2);
+    let found = lines(&place.line(&format!("{SEES} data")).success());
+    let mut count = 0;
+    for vehicle in vehicles(&found)
+        .iter()
+        .flat_map(|of| of.as_array().unwrap())
+    {
+        let middle = |side: &str| {
+            let edge = |edge: &str| vehicle[side][edge].as_f64().unwrap();
+            f64::midpoint(edge("x_min"), edge("x_max"))
+        };
+        let disparity_px = vehicle["disparity_px"].as_f64().unwrap();
+        // Boxes at a border of the image are clipped.
+        if vehicle["right"]["x_min"].as_f64().unwrap() > 0.0 {
+            assert!((middle("left") - middle("right") - disparity_px).abs() < 1e-6);
+        }
+        let surface_m = &vehicle["surface_distance_m"];
+        assert_eq!(
+            surface_m.as_f64().is_some_and(|m| m > 0.0),
+            disparity_px > 0.0
+        );
+        count += 1;
+    }
+    assert!(count > 0);
+    let table = place.line(&format!("{SEES} data --csv -")).success();
+    let mut rows = csv::Reader::from_reader(table.as_bytes());
+    let columns = rows.headers().unwrap().clone();
+    assert!(columns.iter().any(|name| name == "surface_distance_m"));
+    assert_eq!(rows.records().count(), count);
+    let detected = format!("{SEES} data --pairing detect --single-sided drop");
+    for line in lines(&place.line(&detected).success()) {
+        for vehicle in line["vehicles"].as_array().unwrap() {
+            assert!(vehicle["disparity_px"].is_null(), "{vehicle}");
+        }
+        assert!(line["error"].is_null());
+    }
+}
+
+#[test]
+fn what_is_strange_about_the_images_is_noted_once() {
+    let place = with_pairs(3);
+    let noted = |inputs: &str| {
+        let outcome = place.line(&format!("{SEES} {inputs}"));
+        let notes = outcome
+            .stderr
+            .lines()
+            .filter(|line| line.contains("note: "));
+        let notes: Vec<String> = notes.map(str::to_owned).collect();
+        outcome.success();
+        notes
+    };
+    assert_eq!(noted("data"), [""; 0]);
+    for number in 3..7 {
+        for side in ["left", "right"] {
+            let image = texture(96, 40, number, 0);
+            save(&place, &format!("data/{side}_{number:05}.png"), &image);
+        }
+    }
+    let notes = noted("data --batch 2");
+    let count = |words: &str| notes.iter().filter(|note| note.contains(words)).count();
+    assert_eq!(count("96x40"), 1, "{notes:?}");
+    assert_eq!(
+        count("frame 00003: the left and the right image are the same"),
+        1
+    );
+    assert_eq!(notes.len(), 2, "{notes:?}");
+    let same = noted("data/left_00001.png data/left_00001.png");
+    assert!(
+        same.len() == 1 && same[0].contains("are the same"),
+        "{same:?}"
+    );
+    let outcome = place.line(&format!("--quiet {SEES} data"));
+    assert_eq!(outcome.stderr, "");
+}
+
+#[test]
 fn a_region_is_typed_or_read_from_a_file() {
     let place = with_pairs(2);
     place.write("road.txt", "# all of it\n0,0\n64,0\n64,36\n0,36\n");
@@ -290,6 +367,9 @@ fn hostile_settings_are_refused_before_the_work() {
         ("--roi 1,1", &["--roi", "three corners"]),
         ("--roi 0,0;1,1;2,2", &["--roi", "no area"]),
         ("--roi 0,0;NaN,1;2,2", &["--roi"]),
+        ("--roi nothere.txt", &["nothere.txt", "check the path"]),
+        ("--roi nothere", &["cannot read nothere", "check the path"]),
+        ("--roi run", &["cannot read run"]),
         ("--roi file", &["--roi", "three corners"]),
         ("--single-sided maybe", &["maybe", "drop, search, keep"]),
         (

@@ -89,6 +89,11 @@ fn videos_give_the_results_of_their_frames() {
         assert_eq!(again.len(), 6, "{seen}");
         assert!((again[5]["time_s"].as_f64().unwrap() - 1.0).abs() < 1e-3);
     }
+    let before = fs::read(place.path("left.mkv")).unwrap();
+    place
+        .line("predict --run run left.mkv right.mkv --video left.mkv")
+        .error_says(&["left.mkv", "is read"]);
+    assert_eq!(fs::read(place.path("left.mkv")).unwrap(), before);
     run("data --video slow.avi --fps 2");
     let slow = place.line("predict --run run slow.avi --layout side-by-side");
     assert_eq!(lines(&slow.success())[2]["time_s"], 1.0);

@@ -1,8 +1,8 @@
 //! Computing through a worker of this machine.
 
-use std::io::{BufRead as _, BufReader};
+use std::io::{BufRead as _, BufReader, Lines};
 use std::net::UdpSocket;
-use std::process::{Child, Stdio};
+use std::process::{Child, ChildStdout, Stdio};
 
 use super::{Workplace, with_dataset};
 
@@ -12,6 +12,7 @@ const TOKEN: (&str, &str) = ("TWINSIGHT_TOKEN", "a-token-of-the-tests");
 struct Serving {
     process: Child,
     address: String,
+    lines: Lines<BufReader<ChildStdout>>,
 }
 
 impl Serving {
@@ -30,7 +31,11 @@ impl Serving {
             .unwrap();
         let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
         let address = lines.next().unwrap().unwrap();
-        Self { process, address }
+        Self {
+            process,
+            address,
+            lines,
+        }
     }
 }
 
@@ -78,6 +83,18 @@ fn training_on_a_worker_is_training_here() {
             "{there} there, {here} here"
         );
     }
+}
+
+#[test]
+fn the_log_of_a_worker_has_no_colours_where_nobody_sees_them() {
+    let place = Workplace::new();
+    let mut worker = Serving::start(&place);
+    let log = worker.lines.find_map(|line| {
+        let line = line.unwrap();
+        line.contains("INFO").then_some(line)
+    });
+    let log = log.unwrap();
+    assert!(!log.contains('\u{1b}'), "{log:?}");
 }
 
 #[test]

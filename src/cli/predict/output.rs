@@ -1,7 +1,7 @@
 //! Where the results of `predict` go.
 
 use std::io::{self, ErrorKind, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use serde::Serialize;
@@ -12,7 +12,8 @@ use twinsight::predict::{
 use twinsight::sources::VideoEncoding;
 use twinsight::{Error, Result, imaging};
 
-use super::super::{files, stdout};
+use super::super::files::{self, Kind, check_folder, check_target};
+use super::super::stdout;
 
 /// Frames a second of a video that was made of images.
 const DEFAULT_RATE_HZ: f64 = 10.0;
@@ -61,10 +62,13 @@ impl Outputs<'_> {
         }
         let targets = [self.jsonl, self.csv, self.annotate, self.video];
         for (i, target) in targets.iter().enumerate() {
-            if target.is_some() && !is_stdout(*target) && targets[..i].contains(target) {
-                let name = target.map(|path| path.display().to_string());
+            let Some(target) = target.filter(|path| !is_stdout(Some(path))) else {
+                continue;
+            };
+            let mut others = targets[..i].iter().flatten();
+            if others.any(|other| files::is_same(other, target)) {
                 return Err(Error::value(
-                    name.unwrap_or_default(),
+                    target.display().to_string(),
                     "is to hold two kinds of results",
                     "give each its own file",
                 ));
@@ -73,16 +77,29 @@ impl Outputs<'_> {
         Ok(())
     }
 
-    /// Makes sure before the work that all files can be written.
-    pub fn check_targets(&self, is_one: bool) -> Result<()> {
-        let picture = self.annotate.filter(|_| is_one);
-        let text = [self.jsonl, self.csv].into_iter().flatten();
-        for path in text.chain(self.video).chain(picture) {
-            if !is_stdout(Some(path)) {
-                files::check_target(path)?;
+    /// Makes sure before the work that all files can be written, and replace none of these files nor
+    /// those in these folders.
+    pub fn check_targets(
+        &self,
+        is_one: bool,
+        inputs: &[PathBuf],
+        folders: &[PathBuf],
+    ) -> Result<()> {
+        let texts = [(self.jsonl, Kind::JSON_LINES), (self.csv, Kind::CSV)];
+        let texts = texts.into_iter().filter(|(path, _)| !is_stdout(*path));
+        for (path, kind) in texts.chain([(self.video, Kind::VIDEO)]) {
+            if let Some(path) = path {
+                check_target(path, kind, inputs)?;
             }
         }
-        Ok(())
+        match self.annotate {
+            Some(path) if is_one => {
+                check_target(path, Kind::PICTURE, inputs)?;
+                check_picture(path)
+            }
+            Some(path) => check_folder(path, folders),
+            None => Ok(()),
+        }
     }
 
     fn printed(&self, is_one: bool) -> Printed {
@@ -161,7 +178,13 @@ impl Outputs<'_> {
         };
         if let Some(path) = self.annotate {
             let picture = picture(images, &record.outcome);
-            files::write(path, &imaging::png_bytes(path, &picture)?)?;
+            let is_jpeg = Kind::PICTURE.ends(path) && !is_png(path);
+            let bytes = if is_jpeg {
+                imaging::jpeg_bytes(path, &picture)
+            } else {
+                imaging::png_bytes(path, &picture)
+            };
+            files::write(path, &bytes?)?;
         }
         let others = Self {
             annotate: None,
@@ -186,6 +209,25 @@ impl Outputs<'_> {
             .map_err(|error| Error::io("write", STDOUT)(error.into()))?;
         stdout::print(&format!("{json}\n"))
     }
+}
+
+/// Refuses a name that does not say in which format a picture is to be written; a device is given a
+/// PNG.
+fn check_picture(path: &Path) -> Result<()> {
+    let is_device = path.exists() && !path.is_file();
+    if is_device || Kind::PICTURE.ends(path) {
+        return Ok(());
+    }
+    Err(Error::value(
+        path.display().to_string(),
+        "is not the name of a picture that can be written",
+        "let it end in .png or .jpg",
+    ))
+}
+
+fn is_png(path: &Path) -> bool {
+    let ending = path.extension();
+    ending.is_some_and(|ending| ending.eq_ignore_ascii_case("png"))
 }
 
 /// Whether a target is standard output.

@@ -159,8 +159,19 @@ fn cameras_of_different_focal_lengths_and_principal_points_see_the_same_disparit
 
 #[test]
 fn a_vehicle_at_the_horizon_may_have_a_slightly_negative_disparity() {
-    let partner = partner_in(&moved(0.0), &moved(-1.5), detection([300.0, 150.0], 16.0));
-    assert!((partner.disparity_px + 1.5).abs() < 0.1);
+    let partner = partner_in(&moved(0.0), &moved(-0.5), detection([300.0, 150.0], 16.0));
+    assert!((partner.disparity_px + 0.5).abs() < 0.1);
+}
+
+#[test]
+fn images_that_are_the_same_or_exchanged_have_no_partners_at_their_own_disparity() {
+    // 60 pixels stand for 40 m at a disparity of 1.2 pixels, and for a car at more than 10.
+    for (disparity_px, side) in [(0.0, 60.0), (-1.5, 16.0), (-3.0, 60.0), (-17.0, 100.0)] {
+        let detection = detection([300.0, 150.0], side);
+        let searched = search_in(&moved(0.0), &moved(disparity_px), &[detection]);
+        let is_own = |p: &Partner| (p.disparity_px - disparity_px).abs() < 1.0;
+        assert!(!searched.partners.iter().any(is_own), "{searched:?}");
+    }
 }
 
 #[test]
@@ -171,8 +182,8 @@ fn a_disparity_that_no_vehicle_of_this_size_has_is_not_looked_at() {
         let right = moved(disparity_px);
         let searched = search_in(&left, &right, &[detection([300.0, 150.0], 60.0)]);
         for partner in searched.partners {
-            // The slack is 3 + 0.15 x 60 pixels, the least size 0.5 m.
-            assert!((-12.0..=96.0 + 12.0).contains(&partner.disparity_px));
+            // 0.5 to 40 m long, with a slack of 1 pixel below and 3 + 0.15 x 60 above.
+            assert!((1.2 - 1.0..=96.0 + 12.0).contains(&partner.disparity_px));
             assert!(partner.correlation < 0.8, "something else, by chance");
         }
     }

@@ -164,6 +164,8 @@ fn find_in_frame(
             class: String::new(),
             distance_m: f64::NAN,
             detected_in: DetectedIn::Left,
+            disparity_px: Some(partner.disparity_px),
+            surface_distance_m: None,
         })
         .collect();
     let labels = frame.vehicles(kind);
