@@ -67,8 +67,8 @@ fn whole_and_broken_shifts_are_recovered_to_a_tenth_of_a_pixel_in_boxes_of_all_s
         let right = moved(disparity_px);
         for side in [14.0, 25.3, 60.0, 121.7, 240.0] {
             let detection = detection([330.2, 170.6], side);
-            // A small box of a large disparity would be a toy.
-            if disparity_px > side * 0.8 / 0.5 {
+            // A small box of a large disparity would be a toy, a large one of a small one a hall.
+            if !(side * 0.8 / 40.0..=side * 0.8 / 0.5).contains(&disparity_px) {
                 continue;
             }
             let partner = partner_in(&left, &right, detection);
