@@ -222,16 +222,23 @@ fn name_in(folder: &Path, path: &Path) -> String {
 /// The square that was cut off at one border of the image, as YOLO's boxes are: as long as its other
 /// side. Cut off at two borders, or at opposite ones, it stays as it is.
 fn whole_square(area: &PixelBox, [width, height]: [u32; 2]) -> PixelBox {
+    let (width, height) = (f64::from(width), f64::from(height));
+    let touched = [
+        area.x_min <= 0.0,
+        area.x_max >= width,
+        area.y_min <= 0.0,
+        area.y_max >= height,
+    ];
     let side = area.width().max(area.height());
-    let grown = |least: f64, most: f64, end: f64| match (least <= 0.0, most >= end) {
-        _ if most - least >= side => [least, most],
-        (true, false) => [most - side, most],
-        (false, true) => [least, least + side],
-        _ => [least, most],
-    };
-    let [x_min, x_max] = grown(area.x_min, area.x_max, f64::from(width));
-    let [y_min, y_max] = grown(area.y_min, area.y_max, f64::from(height));
-    PixelBox::new(x_min, y_min, x_max, y_max)
+    let mut whole = *area;
+    match touched {
+        [true, false, false, false] => whole.x_min = area.x_max - side,
+        [false, true, false, false] => whole.x_max = area.x_min + side,
+        [false, false, true, false] => whole.y_min = area.y_max - side,
+        [false, false, false, true] => whole.y_max = area.y_min + side,
+        _ => {}
+    }
+    whole
 }
 
 fn read_image(
