@@ -153,7 +153,8 @@ fn a_missing_command_and_an_unknown_option_are_usage_errors() {
 
 #[test]
 fn the_device_list_has_every_kind_and_the_processor_is_ready() {
-    let mut command = Workplace::new().command();
+    let place = Workplace::new();
+    let mut command = place.command();
     command.arg("devices");
     command.env_remove("XDG_RUNTIME_DIR").env_remove("DISPLAY");
     let outcome = Outcome::of(command.output().unwrap());
