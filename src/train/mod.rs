@@ -18,6 +18,7 @@ mod readout;
 mod reporting;
 mod run;
 mod running;
+mod saved;
 mod schedule;
 mod sgd;
 mod stage;
@@ -31,4 +32,5 @@ pub use config::{
 pub(crate) use devices::DeviceSet;
 pub use log::{EpochRow, RunLog};
 pub use plan::{StagePlan, TrainPlan, plan};
-pub use run::{NotEvaluated, SavedRun, Stage, TrainRequest, TrainSummary, saved_config, train};
+pub use run::{NotEvaluated, Stage, TrainRequest, TrainSummary, train};
+pub use saved::{SavedRun, saved_config};
