@@ -457,8 +457,13 @@ fn holds_anything(folder: &Path) -> bool {
 
 /// Prints settings as `--config` takes them.
 fn print_config(config: &TrainConfig) -> Result<()> {
-    let text = toml::to_string(config)
-        .map_err(|source| Error::value("the settings", source.to_string(), "report this"))?;
+    let text = toml::to_string(config).map_err(|source| {
+        Error::value(
+            "the settings",
+            source.to_string(),
+            "report this as a defect",
+        )
+    })?;
     stdout::print(&text)
 }
 

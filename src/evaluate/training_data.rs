@@ -5,12 +5,9 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
-
 use crate::dataset::StereoDataset;
-use crate::files;
 use crate::progress::Silent;
-use crate::train::{TrainConfig, saved_config};
+use crate::train::{SavedRun, TrainConfig};
 
 /// What a run says of the dataset that it was trained on.
 struct Trained {
@@ -63,25 +60,12 @@ impl TrainingData {
 
 impl Trained {
     fn read(run: &Path) -> Option<Self> {
-        #[derive(Deserialize)]
-        struct Saved {
-            data: PathBuf,
-            #[serde(default)]
-            dataset: SavedDataset,
-        }
-        #[derive(Default, Deserialize)]
-        struct SavedDataset {
-            fingerprint: Option<String>,
-            #[serde(default)]
-            left_out: usize,
-        }
-        let text = files::read_text(run.join("config.json")).ok()?;
-        let saved: Saved = serde_json::from_str(&text).ok()?;
+        let saved = SavedRun::read(run).ok()??;
         Some(Self {
             path: saved.data,
             fingerprint: saved.dataset.fingerprint,
             left_out: saved.dataset.left_out,
-            config: saved_config(run).ok()??,
+            config: saved.config,
         })
     }
 

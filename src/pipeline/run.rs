@@ -4,10 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
-use crate::train::StageFolder;
-
-/// What makes a folder a run.
-const SETTINGS: &str = "config.json";
+use crate::train::{CONFIG, StageFolder};
 
 /// Where runs usually are, below the current folder.
 const USUAL: &str = "checkpoints";
@@ -35,8 +32,8 @@ pub(super) fn weights(run: &Path) -> Result<[PathBuf; 2]> {
         return Err(Error::value(name, problem, remedy(run)));
     }
     // Weights alone, copied to where they are used, are enough; this is for what has not even them.
-    if !run.join(SETTINGS).exists() && !paths.iter().any(|path| path.exists()) {
-        let problem = format!("is no run: the folder has no {SETTINGS}");
+    if !run.join(CONFIG).exists() && !paths.iter().any(|path| path.exists()) {
+        let problem = format!("is no run: the folder has no {CONFIG}");
         return Err(Error::value(name, problem, remedy(run)));
     }
     Err(Error::weights(
@@ -81,7 +78,7 @@ fn runs_in(folder: &Path) -> Vec<String> {
     };
     let mut runs: Vec<PathBuf> = entries
         .filter_map(|entry| Some(entry.ok()?.path()))
-        .filter(|path| path.join(SETTINGS).is_file())
+        .filter(|path| path.join(CONFIG).is_file())
         .collect();
     runs.sort();
     runs.iter()

@@ -44,7 +44,6 @@ pub struct StageState {
     /// Fingerprint of the dataset that the stage learns from.
     pub dataset: String,
     /// Check sum of all this.
-    #[serde(default)]
     pub mark: String,
 }
 
@@ -207,9 +206,7 @@ impl StageFolder {
         };
         let path = folder.join(STATE);
         let state = read_state(&path)?;
-        if state.clone().marked()?.mark != state.mark
-            || (state.epoch, state.epoch > steering.epochs) != (epoch, false)
-        {
+        if state.epoch != epoch || state.clone().marked()?.mark != state.mark {
             return Err(Error::training(
                 format!(
                     "{} is damaged: it is not what training saved",

@@ -33,4 +33,5 @@ pub(crate) use devices::DeviceSet;
 pub use log::{EpochRow, RunLog};
 pub use plan::{StagePlan, TrainPlan, plan};
 pub use run::{NotEvaluated, Stage, TrainRequest, TrainSummary, train};
+pub(crate) use saved::CONFIG;
 pub use saved::{SavedRun, saved_config};

@@ -18,7 +18,7 @@ use super::stage::{PreparedStage, Recipe, StagePlace, StageResult, run_stage};
 use crate::dataset::{Frame, Split, StereoDataset};
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
-use crate::evaluate::{Evaluation, evaluate_dataset};
+use crate::evaluate::{Evaluation, evaluate_dataset, write_json};
 use crate::files;
 use crate::pipeline::StereoRanger;
 use crate::progress::Progress;
@@ -308,16 +308,6 @@ impl TrainRequest<'_> {
     pub(super) fn has(&self, stage: &str) -> bool {
         self.folder(stage).last().exists()
     }
-}
-
-pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
-    let json = serde_json::to_vec_pretty(value).map_err(|source| {
-        Error::training(
-            format!("cannot encode {}: {source}", path.display()),
-            "report this as a defect",
-        )
-    })?;
-    files::write_atomically(path, &json)
 }
 
 impl fmt::Display for TrainSummary {

@@ -9,15 +9,16 @@ use serde_json::Value;
 use super::config::TrainConfig;
 use super::detector::DetectorRecipe;
 use super::distance::DistanceRecipe;
-use super::run::{STAGES, TrainRequest, write_json};
+use super::run::{STAGES, TrainRequest};
 use super::stage::Recipe as _;
 use crate::dataset::StereoDataset;
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
+use crate::evaluate::write_json;
 use crate::files;
 
 /// File of a run's settings.
-const CONFIG: &str = "config.json";
+pub(crate) const CONFIG: &str = "config.json";
 
 /// The settings that a run folder was last trained with, if it has any.
 ///
@@ -36,6 +37,18 @@ pub struct SavedRun {
     pub data: PathBuf,
     /// What was computed on, separated by commas.
     device: String,
+    /// The dataset as it was then.
+    #[serde(default)]
+    pub(crate) dataset: SavedDataset,
+}
+
+/// What a run remembers of the content of its dataset; nothing, in runs of older versions.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+pub(crate) struct SavedDataset {
+    pub fingerprint: Option<String>,
+    /// Frames that training left out.
+    #[serde(default)]
+    pub left_out: usize,
 }
 
 impl SavedRun {
