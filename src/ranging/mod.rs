@@ -7,6 +7,7 @@ mod merge;
 mod network;
 mod other_rig;
 mod readout;
+pub mod size;
 mod surface;
 mod witness;
 
