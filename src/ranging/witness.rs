@@ -17,4 +17,15 @@ pub struct SizeWitness {
     pub extent_mean_m: f64,
     /// Standard deviation of that way, metres.
     pub extent_std_m: f64,
+    /// How little the head was trained for what it sees: 0 for pictures and vehicles like the trained
+    /// ones, 1 for others, of which it knows nothing. The standard deviations are widened by it.
+    pub unknown: f64,
+}
+
+impl SizeWitness {
+    /// Whether the head knows more of this vehicle than what vehicles are like in general: one that
+    /// does not is to be left out for that.
+    pub fn is_known(&self) -> bool {
+        self.unknown < 0.5
+    }
 }

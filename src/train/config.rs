@@ -234,7 +234,7 @@ pub struct SizeTraining {
 impl Default for SizeTraining {
     fn default() -> Self {
         Self {
-            epochs: 40,
+            epochs: 30,
             batch: 32,
             optimizer: OptimizerKind::AdamW,
             learning_rate: 0.002,
@@ -249,7 +249,7 @@ impl Default for SizeTraining {
             flip: 0.5,
             ema_decay: 0.99,
             ema_ramp: 100.0,
-            validate_every: 4,
+            validate_every: 3,
             patience: 0,
         }
     }
@@ -501,7 +501,7 @@ mod tests {
         assert_eq!(config, TrainConfig::preset("quick").unwrap());
         // An empty list is not written at all.
         let all = toml::Table::try_from(&config).unwrap();
-        for section in ["detector", "distance"] {
+        for section in ["detector", "distance", "size"] {
             let names = |table: &toml::Table| -> Vec<String> {
                 let section = table[section].as_table().unwrap();
                 let mut names: Vec<String> = section.keys().cloned().collect();

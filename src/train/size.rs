@@ -40,6 +40,11 @@ const SHOWN_SIDE: u32 = 128;
 /// for what it teaches the features, and must not push the witness aside.
 const POSE_WEIGHT: f64 = 0.5;
 
+/// Share of its variance by which a vehicle's likelihood is weighed, after Seitzer and others, "On the
+/// pitfalls of heteroscedastic uncertainty estimation" (2022): with none of it the spread of what is
+/// hard grows until nothing is learnt of it any more, and that of what is easy shrinks by heart.
+const BETA: f64 = 0.5;
+
 /// Bounds of the logarithm of a spread, in standard deviations of the training vehicles.
 const LOG_SPREADS: [f64; 2] = [-4.0, 2.0];
 
@@ -225,7 +230,8 @@ impl Recipe for SizeRecipe {
             let log_spread = output.witness.clone().narrow(1, first + 1, 1);
             let log_spread = log_spread.clamp(LOG_SPREADS[0], LOG_SPREADS[1]);
             let error = (mean - truth) * log_spread.clone().neg().exp();
-            error.square().mul_scalar(0.5) + log_spread
+            let weight = log_spread.clone().detach().mul_scalar(2.0 * BETA).exp();
+            (error.square().mul_scalar(0.5) + log_spread) * weight
         };
         let size_loss = likelihood(0, log_size).mean();
         let extent_loss = (likelihood(2, extent) * has_extent).mean();

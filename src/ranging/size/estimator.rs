@@ -8,7 +8,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::guard::{Guard, GuardLimits};
+use super::guard::{Guard, GuardEvidence, GuardLimits};
 use super::view::write_crop;
 use super::{SIDE_PX, SizeConfig, SizeNetwork, SizeView, VIEW_CHANNELS, VIEW_NUMBERS};
 use crate::dataset::BoxKind;
@@ -120,8 +120,8 @@ impl SizeHeader {
 pub struct RawWitness {
     /// Of the network itself.
     pub said: SizeWitness,
-    /// Features that the guard judges.
-    pub features: Vec<f64>,
+    /// What the guard judges.
+    pub evidence: GuardEvidence,
 }
 
 /// A trained size network.
@@ -249,8 +249,8 @@ impl SizeEstimator {
                 .par_chunks_exact_mut(SizeInputs::PIXELS)
                 .zip(batch)
                 .map(|(pixels, (image, area))| {
-                    write_crop(image, area, pixels);
-                    SizeView::of_box(area, camera)
+                    let tone = write_crop(image, area, pixels);
+                    SizeView::of_box(area, camera).with_picture(pixels, tone)
                 })
                 .collect();
             for raw in self.examine(SizeInputs { pixels, views })? {
@@ -265,8 +265,7 @@ impl SizeEstimator {
     /// # Errors
     /// A device that fails.
     pub fn examine(&self, inputs: SizeInputs) -> Result<Vec<RawWitness>> {
-        let angles: Vec<[f64; 2]> = inputs.views.iter().map(|view| view.angles).collect();
-        let numbers: Vec<_> = inputs.views.iter().map(|view| view.numbers).collect();
+        let views = inputs.views.clone();
         let (pixels, numbers_tensor) = inputs.into_tensors(&self.device);
         let output = self.network.forward(pixels, numbers_tensor);
         let read = |tensor: Tensor<2>| {
@@ -284,16 +283,15 @@ impl SizeEstimator {
         let each = said
             .chunks_exact(SizeNetwork::WITNESS)
             .zip(features.chunks_exact(width))
-            .zip(angles.iter().zip(&numbers));
+            .zip(&views);
         Ok(each
-            .map(|((said, features), (angles, numbers))| {
-                let mut features = features.to_vec();
-                features.extend(angles.map(f64::ln));
-                features.extend(numbers[..3].iter().map(|&number| f64::from(number)));
-                RawWitness {
-                    said: self.header.witness(said),
-                    features,
-                }
+            .map(|((said, features), view)| RawWitness {
+                said: self.header.witness(said),
+                evidence: GuardEvidence {
+                    angles: view.angles.map(f64::ln).to_vec(),
+                    picture: view.picture.to_vec(),
+                    features: features.to_vec(),
+                },
             })
             .collect())
     }
@@ -303,7 +301,7 @@ impl SizeEstimator {
     pub fn corrected(&self, raw: &RawWitness) -> SizeWitness {
         let calibration = self.header.calibration.unwrap_or(Calibration::NONE);
         let unknown = match (&self.guard, calibration.guard) {
-            (Some(guard), Some(limits)) => limits.unknown(guard.distance(&raw.features)),
+            (Some(guard), Some(limits)) => limits.unknown(guard.distance(&raw.evidence)),
             _ => 0.0,
         };
         let widened = |std: f64, factor: f64, unknown_std: f64| {
@@ -316,6 +314,7 @@ impl SizeEstimator {
             log_size_std: widened(said.log_size_std, calibration.log_size, UNKNOWN_LOG_SIZE),
             extent_mean_m: said.extent_mean_m,
             extent_std_m: widened(said.extent_std_m, calibration.extent, UNKNOWN_EXTENT_M),
+            unknown,
         }
     }
 }
@@ -336,6 +335,7 @@ impl SizeHeader {
             log_size_std: self.log_size.std * spread(said[1]),
             extent_mean_m,
             extent_std_m,
+            unknown: 0.0,
         }
     }
 }

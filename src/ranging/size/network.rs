@@ -10,7 +10,7 @@ use crate::kernels;
 use crate::nn::{ConvBlock, ConvBlockConfig, Dense, DenseConfig};
 
 /// Channels of the blocks, each of half the height and width of the one before.
-const CHANNELS: [usize; 4] = [24, 32, 48, 64];
+const CHANNELS: [usize; 4] = [40, 48, 72, 96];
 
 /// Bound of a layer behind SiLU, as of one behind ReLU.
 const ACTIVATED_GAIN: f64 = 2.449_489_7;
@@ -44,8 +44,7 @@ pub struct SizeOutput {
     /// in standard deviations of the training vehicles: `[batch, 6]`. Learnt beside the witness, which
     /// they explain; nothing reads them.
     pub pose: Tensor<2>,
-    /// What the guard judges: the means of each block's channels and the hidden features,
-    /// `[batch, features]`.
+    /// The hidden features, which the guard judges: `[batch, hidden]`.
     pub features: Tensor<2>,
 }
 
@@ -91,24 +90,15 @@ impl SizeNetwork {
     }
 
     fn forward_here(&self, crops: Tensor<4>, numbers: Tensor<2>) -> SizeOutput {
-        let [batch, ..] = crops.dims();
-        let mut features = Vec::with_capacity(self.blocks.len() + 1);
-        let mut x = crops;
-        for block in &self.blocks {
-            x = block.forward(x);
-            let [_, height, width, channels] = x.dims();
-            let rows = x.clone().reshape([batch, height * width, channels]);
-            features.push(rows.mean_dim(1).reshape([batch, channels]));
-        }
-        let [_, height, width, channels] = x.dims();
+        let x = self.blocks.iter().fold(crops, |x, block| block.forward(x));
+        let [batch, height, width, channels] = x.dims();
         let flat = x.reshape([batch, height * width * channels]);
         let hidden = silu(self.hidden.forward(Tensor::cat(vec![flat, numbers], 1)));
-        features.push(hidden.clone());
-        let output = self.out.forward(hidden);
+        let output = self.out.forward(hidden.clone());
         SizeOutput {
             witness: output.clone().narrow(1, 0, Self::WITNESS),
             pose: output.narrow(1, Self::WITNESS, Self::POSE),
-            features: Tensor::cat(features, 1),
+            features: hidden,
         }
     }
 

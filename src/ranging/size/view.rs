@@ -24,6 +24,12 @@ const BORDER_PX: f64 = 1.5;
 /// Least spread of grey values that is scaled up to one, in parts of white: below is noise.
 const LEAST_SPREAD: f32 = 0.02;
 
+/// Numbers of [`SizeView::picture`].
+const PICTURE_NUMBERS: usize = 12;
+
+/// Least mean of a magnitude whose logarithm is taken.
+const LEAST_MAGNITUDE: f64 = 1e-3;
+
 /// Box sides below this count as this, pixels.
 const SMALLEST_SIDE_PX: f64 = 0.1;
 
@@ -42,6 +48,8 @@ pub struct SizeView {
     pub numbers: [f32; VIEW_NUMBERS],
     /// Angular width and height of the box at depth 1. The network does not see them; the guard does.
     pub angles: [f64; 2],
+    /// What the guard is told of the picture; see [`picture_numbers`].
+    pub picture: [f64; PICTURE_NUMBERS],
 }
 
 impl SizeView {
@@ -72,7 +80,14 @@ impl SizeView {
                 cuts[3],
             ],
             angles,
+            picture: [0.0; PICTURE_NUMBERS],
         }
+    }
+
+    /// The view with the numbers of its crop.
+    pub fn with_picture(mut self, crop: &[f32], tone: [f32; 2]) -> Self {
+        self.picture = picture_numbers(crop, tone);
+        self
     }
 
     /// The numbers of the box in the mirrored image.
@@ -88,22 +103,97 @@ impl SizeView {
     }
 }
 
-/// Writes the crop of a box, cut out of an image, as `[SIDE_PX, SIDE_PX, VIEW_CHANNELS]`.
+/// Writes the crop of a box, cut out of an image, as `[SIDE_PX, SIDE_PX, VIEW_CHANNELS]`, and gives what
+/// [`write_pixels`] does.
 ///
 /// # Panics
 /// When `out` has another length.
-pub fn write_crop(image: &RgbImage, area: &PixelBox, out: &mut [f32]) {
+pub fn write_crop(image: &RgbImage, area: &PixelBox, out: &mut [f32]) -> [f32; 2] {
     let window = crop_area(area);
     let crop = crop_resized(image, &window, SIDE_PX, SIDE_PX);
-    write_pixels(&crop, area, &window, out);
+    write_pixels(&crop, area, &window, out)
+}
+
+/// What the guard is told of a crop as the network sees it: its brightness and the logarithm of its
+/// contrast before they were taken out; logarithms of the mean steps across, down and around a pixel
+/// and of the mean difference of colours; skewness and kurtosis of grey; grey at the top and at the
+/// bottom; grey, and logarithm of the contrast, inside of the box less outside.
+///
+/// Cameras, renderers and places differ in these before vehicles do.
+fn picture_numbers(crop: &[f32], [brightness, contrast]: [f32; 2]) -> [f64; PICTURE_NUMBERS] {
+    const EDGE_ROWS: usize = 6;
+    let side = SIDE_PX as usize;
+    let at = |x: usize, y: usize| &crop[(y * side + x) * VIEW_CHANNELS..][..VIEW_CHANNELS];
+    let grey = |x: usize, y: usize| {
+        let pixel = at(x, y);
+        f64::from(pixel[0] + pixel[1] + pixel[2]) / 3.0
+    };
+    let count = (side * side) as f64;
+    let (mut steps, mut colors, mut powers) = ([0.0; 3], 0.0, [0.0; 2]);
+    let mut ends = [0.0; 2];
+    // Count, sum and sum of squares, outside and inside of the box.
+    let mut parts = [[1e-6, 0.0, 0.0]; 2];
+    for y in 0..side {
+        for x in 0..side {
+            let (value, pixel) = (grey(x, y), at(x, y));
+            let (right, below) = (
+                grey((x + 1).min(side - 1), y),
+                grey(x, (y + 1).min(side - 1)),
+            );
+            let (left, above) = (grey(x.saturating_sub(1), y), grey(x, y.saturating_sub(1)));
+            steps[0] += (right - value).abs();
+            steps[1] += (below - value).abs();
+            steps[2] += (4.0 * value - left - right - above - below).abs();
+            colors += f64::from((pixel[0] - pixel[1]).abs() + (pixel[1] - pixel[2]).abs());
+            powers[0] += value.powi(3);
+            powers[1] += value.powi(4);
+            if y < EDGE_ROWS {
+                ends[0] += value;
+            } else if y >= side - EDGE_ROWS {
+                ends[1] += value;
+            }
+            let part = &mut parts[usize::from(pixel[3] > 0.5)];
+            part[0] += 1.0;
+            part[1] += value;
+            part[2] += value * value;
+        }
+    }
+    let log = |sum: f64| (sum / count).max(LEAST_MAGNITUDE).ln();
+    let [(outside, outside_spread), (inside, inside_spread)] =
+        parts.map(|[count, sum, squares]| {
+            let mean: f64 = sum / count;
+            let variance = (squares / count - mean * mean).max(0.0);
+            (mean, variance.sqrt().max(LEAST_MAGNITUDE).ln())
+        });
+    let edge = (side * EDGE_ROWS) as f64;
+    [
+        f64::from(brightness),
+        f64::from(contrast.max(LEAST_SPREAD)).ln(),
+        log(steps[0]),
+        log(steps[1]),
+        log(steps[2]),
+        log(colors),
+        (powers[0] / count).cbrt(),
+        (powers[1] / count).sqrt().sqrt(),
+        ends[0] / edge,
+        ends[1] / edge,
+        inside - outside,
+        inside_spread - outside_spread,
+    ]
 }
 
 /// Writes a crop of this window as the network takes it: colours less their mean over the crop and
 /// over their common spread, so that exposure and contrast do not matter, and the mask of the box.
+/// Gives that mean, over all colours, and spread.
 ///
 /// # Panics
 /// When `out` has another length than crop and mask.
-pub fn write_pixels(crop: &RgbImage, area: &PixelBox, window: &PixelBox, out: &mut [f32]) {
+pub fn write_pixels(
+    crop: &RgbImage,
+    area: &PixelBox,
+    window: &PixelBox,
+    out: &mut [f32],
+) -> [f32; 2] {
     let count = (SIDE_PX * SIDE_PX) as f32;
     assert_eq!(out.len(), VIEW_CHANNELS * count as usize, "a crop's pixels");
     let mut sums = [0.0_f32; 3];
@@ -120,7 +210,8 @@ pub fn write_pixels(crop: &RgbImage, area: &PixelBox, window: &PixelBox, out: &m
         .map(|channel| (squares[channel] / count - means[channel] * means[channel]).max(0.0))
         .sum::<f32>()
         / 3.0;
-    let scale = 1.0 / variance.sqrt().max(LEAST_SPREAD);
+    let spread = variance.sqrt();
+    let scale = 1.0 / spread.max(LEAST_SPREAD);
     let inside = |start: f64, length: f64, index: u32, low: f64, high: f64| {
         let at = start + (f64::from(index) + 0.5) * length / f64::from(SIDE_PX);
         (low..=high).contains(&at)
@@ -136,6 +227,7 @@ pub fn write_pixels(crop: &RgbImage, area: &PixelBox, window: &PixelBox, out: &m
             && inside(window.y_min, window.height(), y, area.y_min, area.y_max);
         values[3] = f32::from(u8::from(is_inside));
     }
+    [means.iter().sum::<f32>() / 3.0, spread]
 }
 
 #[cfg(test)]
@@ -171,7 +263,7 @@ mod tests {
     #[test]
     fn brightness_and_contrast_leave_the_crop_as_it_is_and_the_mask_marks_the_box() {
         let picture = |gain: u32, offset: u32| {
-            RgbImage::from_fn(200, 100, |x, y| {
+            RgbImage::from_fn(200, 140, |x, y| {
                 let value = (x % 16) * 2 + y % 8;
                 Rgb([(value * gain + offset) as u8; 3])
             })

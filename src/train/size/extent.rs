@@ -15,8 +15,8 @@ use crate::geometry::{Camera, PixelBox, StereoRig};
 /// Rays through a box, across and down.
 const RAYS: [u32; 2] = [24, 16];
 
-/// Bodies at least so high over their length are boxes; others have a bonnet.
-const BOXY: f64 = 0.39;
+/// Bodies at least so high are boxes, metres; others have a bonnet.
+const BOXY_M: f64 = 1.85;
 
 /// Counts of a disparity map for a pixel.
 const DISPARITY_PER_PX: f64 = 256.0;
@@ -150,16 +150,17 @@ fn up(object: &ObjectRow) -> Option<[f64; 3]> {
 fn blocks(object: &ObjectRow) -> Vec<Block> {
     let (length, width, height) = (object.length_m, object.width_m, object.height_m);
     let whole = |size: f64| [-size / 2.0, size / 2.0];
-    if height > BOXY * length {
+    if height > BOXY_M {
         return vec![[whole(length), whole(width), whole(height)]];
     }
-    let belt = -height / 2.0 + 0.62 * height;
+    // Rounder than its bounding box.
+    let belt = -height / 2.0 + 0.56 * height;
     let floor = -height / 2.0 + 0.1 * height;
     vec![
-        [whole(length * 0.98), whole(width), [floor, belt]],
+        [whole(length * 0.95), whole(width * 0.95), [floor, belt]],
         [
-            [-0.36 * length, 0.14 * length],
-            whole(width * 0.84),
+            [-0.34 * length, 0.10 * length],
+            whole(width * 0.78),
             [belt, height / 2.0],
         ],
     ]

@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::metrics::quantile_of;
 use crate::ranging::SizeWitness;
 
 /// Standard deviations that hold 68 and 95 % of a normal distribution.
@@ -28,7 +29,7 @@ pub struct SpreadSummary {
     pub spread: f64,
     /// Shares within the 68 % and the 95 % interval.
     pub within: [f64; 2],
-    /// Mean negative logarithm of the likelihood.
+    /// Mean negative logarithm of the likelihood, once the spreads are corrected.
     pub nll: f64,
 }
 
@@ -53,14 +54,15 @@ impl SpreadErrors {
         };
         let within = SIGMAS
             .map(|sigmas| mean(&|[error, std]| f64::from(u8::from(error.abs() <= sigmas * std))));
+        let factor = self.factor();
         Some(SpreadSummary {
             count,
             bias: mean(&|[error, _]| *error),
             rms: mean(&|[error, _]| error * error).sqrt(),
-            median: quantile(self.errors.iter().map(|[error, _]| error.abs()), 0.5),
-            spread: quantile(self.errors.iter().map(|[_, std]| *std), 0.5),
+            median: quantile_of(self.errors.iter().map(|[error, _]| error.abs()), 0.5),
+            spread: quantile_of(self.errors.iter().map(|[_, std]| *std), 0.5),
             within,
-            nll: mean(&|[error, std]| 0.5 * (error / std).powi(2) + std.ln())
+            nll: mean(&|[error, std]| 0.5 * (error / (factor * std)).powi(2) + (factor * std).ln())
                 + 0.5 * (2.0 * std::f64::consts::PI).ln(),
         })
     }
@@ -76,21 +78,8 @@ impl SpreadErrors {
         let wanted = [0.68, 0.95]
             .into_iter()
             .zip(SIGMAS)
-            .map(|(share, sigmas)| quantile(ratios(), share) / sigmas);
+            .map(|(share, sigmas)| quantile_of(ratios(), share) / sigmas);
         (wanted.sum::<f64>() / 2.0).clamp(0.2, 5.0)
-    }
-}
-
-/// The value below which a share of the values lies.
-pub fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    let last = values.len().saturating_sub(1);
-    let at = share * last as f64;
-    let (low, high) = (at.floor() as usize, at.ceil() as usize);
-    match (values.get(low), values.get(high)) {
-        (Some(a), Some(b)) => a + (b - a) * (at - at.floor()),
-        _ => f64::NAN,
     }
 }
 
@@ -164,12 +153,5 @@ mod tests {
         let [most, nearly_all] = honest.summary().unwrap().within;
         assert!((0.66..0.72).contains(&most), "{most}");
         assert!((0.93..0.97).contains(&nearly_all), "{nearly_all}");
-    }
-
-    #[test]
-    fn quantiles_lie_between_the_values() {
-        assert_eq!(quantile([3.0, 1.0, 2.0].into_iter(), 0.5), 2.0);
-        assert_eq!(quantile([1.0, 2.0].into_iter(), 0.75), 1.75);
-        assert!(quantile(std::iter::empty(), 0.5).is_nan());
     }
 }

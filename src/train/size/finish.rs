@@ -5,16 +5,18 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::findings::{SizeErrors, SizeSummary, quantile};
+use super::findings::{SizeErrors, SizeSummary};
 use super::samples::Samples;
 use super::view::LoadedViews;
 use super::{SizeRecipe, Split};
 use crate::dataset::StereoDataset;
 use crate::error::Result;
 use crate::evaluate::write_json;
+use crate::metrics::quantile_of;
 use crate::progress::Progress;
 use crate::ranging::size::{
-    Calibration, Guard, GuardLimits, RawWitness, SizeConfig, SizeEstimator, SizeHeader,
+    Calibration, Guard, GuardEvidence, GuardLimits, RawWitness, SizeConfig, SizeEstimator,
+    SizeHeader,
 };
 use crate::train::StageFolder;
 use crate::train::stage::Recipe as _;
@@ -24,7 +26,7 @@ use crate::weights::StateDict;
 const PASSED: f64 = 0.95;
 
 /// Distance beyond which nothing is known, over the one within which everything passes.
-const FAR: f64 = 1.5;
+const FAR: f64 = 1.4;
 
 /// File with what the spreads hold.
 const COVERAGE: &str = "coverage.json";
@@ -56,33 +58,29 @@ impl SizeRecipe {
         let state = StateDict::load(&folder.best())?;
         let network = state.apply(SizeConfig::new().init(&device), str::to_owned)?;
         let raw = SizeEstimator::new(&network, self.header.clone(), None, &device);
-        let rows: Vec<Vec<f64>> = self
+        let seen: Vec<GuardEvidence> = self
             .said(&raw, &self.train)?
             .into_iter()
-            .map(|(raw, _)| raw.features)
+            .map(|(raw, _)| raw.evidence)
             .collect();
-        let guard = Guard::fit(&rows);
         let unseen = self.said(&raw, &self.val)?;
-        let mut errors = SizeErrors::default();
-        for (raw, target) in &unseen {
-            errors.add(&raw.said, target.log_size, target.extent_m);
-        }
+        let others: Vec<GuardEvidence> =
+            unseen.iter().map(|(raw, _)| raw.evidence.clone()).collect();
+        let guard = Guard::fit(&seen, &others);
         let limits = guard.as_ref().map(|guard| {
             // Without unseen scenes those that were seen must do.
-            let distances: Vec<f64> = if unseen.is_empty() {
-                rows.iter().map(|row| guard.distance(row)).collect()
-            } else {
-                let unseen = unseen.iter();
-                unseen
-                    .map(|(raw, _)| guard.distance(&raw.features))
-                    .collect()
-            };
-            let near = quantile(distances.into_iter(), PASSED);
+            let usual = if others.is_empty() { &seen } else { &others };
+            let distances = usual.iter().map(|vehicle| guard.distance(vehicle));
+            let near = quantile_of(distances, PASSED);
             GuardLimits {
                 near,
                 far: FAR * near,
             }
         });
+        let mut errors = SizeErrors::default();
+        for (raw, target) in &unseen {
+            errors.add(&raw.said, target.log_size, target.extent_m);
+        }
         let calibration = Calibration {
             log_size: errors.log_size.factor(),
             extent: errors.extent.factor(),

@@ -114,8 +114,8 @@ impl SizeRecipe {
             let view = SizeView::of_box(&area, camera);
             let window = crop_area(&area);
             let crop = crop_resized(&patch.image, &patch.within(&window), SIDE_PX, SIDE_PX);
-            write_pixels(&crop, &area, &window, pixels);
-            return Ok((view.clone(), target(&view)));
+            let tone = write_pixels(&crop, &area, &window, pixels);
+            return Ok((view.clone().with_picture(pixels, tone), target(&view)));
         };
         let mut area = self.moved_edges(sample.box_pixel, &mut random);
         if self.kind == BoxKind::Tight {
@@ -227,5 +227,66 @@ fn mirror(pixels: &mut [f32]) {
                 row.swap(a * VIEW_CHANNELS + channel, b * VIEW_CHANNELS + channel);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::fixture::Fixture;
+    use crate::progress::Silent;
+    use crate::train::TrainConfig;
+    use burn::tensor::Device;
+
+    fn recipe(change: impl Fn(&mut TrainConfig)) -> SizeRecipe {
+        let fixture = Fixture::lawful(10);
+        let mut config = TrainConfig::preset("quick").unwrap();
+        config.box_kind = BoxKind::Tight;
+        change(&mut config);
+        SizeRecipe::new(&config, &fixture.open(), &Device::flex(), &Silent).unwrap()
+    }
+
+    #[test]
+    fn a_crop_depends_on_seed_epoch_and_item_and_on_nothing_else() {
+        let recipe = recipe(|_| {});
+        let load = |epoch, items: &[usize]| {
+            let loaded = recipe.views(&recipe.train, items, Some(epoch)).unwrap();
+            (loaded.inputs.pixels, loaded.targets)
+        };
+        let (pixels, targets) = load(3, &[0, 1, 2]);
+        let (alone, alone_target) = load(3, &[2]);
+        assert_eq!(pixels[2 * SizeInputs::PIXELS..], alone);
+        assert_eq!(targets[2], alone_target[0]);
+        assert_ne!(load(4, &[2]).0, alone);
+    }
+
+    #[test]
+    fn the_size_that_is_to_be_said_is_that_of_the_box_that_is_shown() {
+        let still = recipe(|_| {});
+        let moved = recipe(|config| config.size.box_jitter = 0.1);
+        let truth = |recipe: &SizeRecipe, epoch| {
+            let loaded = recipe.views(&recipe.train, &[0], epoch).unwrap();
+            (loaded.inputs.views[0].clone(), loaded.targets[0])
+        };
+        let (view, target) = truth(&still, None);
+        let (moved_view, moved_target) = truth(&moved, Some(0));
+        assert_ne!(view.angles, moved_view.angles);
+        // Both say the same depth.
+        let depth_m = |view: &SizeView, target: &Target| {
+            target.log_size.exp() / (view.angles[0] * view.angles[1]).sqrt()
+        };
+        let difference = depth_m(&view, &target) - depth_m(&moved_view, &moved_target);
+        assert!(difference.abs() < 1e-9, "{difference}");
+    }
+
+    #[test]
+    fn mirroring_a_crop_twice_changes_nothing() {
+        let recipe = recipe(|_| {});
+        let loaded = recipe.views(&recipe.val, &[0], None).unwrap();
+        let mut pixels = loaded.inputs.pixels.clone();
+        mirror(&mut pixels);
+        assert_ne!(pixels, loaded.inputs.pixels);
+        mirror(&mut pixels);
+        assert_eq!(pixels, loaded.inputs.pixels);
     }
 }
