@@ -8,6 +8,7 @@ mod network;
 mod other_rig;
 mod readout;
 mod surface;
+mod witness;
 
 pub use inference::{DistanceEstimator, RangingHeader, Sighting};
 pub use inputs::{Crops, Reading, VehicleSizes};
@@ -17,3 +18,4 @@ pub use network::{BLOCK_CHANNELS, RangingConfig, RangingFeatures, RangingNetwork
 pub use other_rig::{RigNote, sizes_as_trained};
 pub use readout::Readout;
 pub use surface::surface_m;
+pub use witness::SizeWitness;
