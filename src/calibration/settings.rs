@@ -4,7 +4,9 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
 use crate::error::{Error, Result};
-use crate::geometry::{CalibrationParts, Camera, Distortion, Intrinsics, LensCamera};
+use crate::geometry::{
+    CalibrationParts, Camera, DisparityTerms, Distortion, Intrinsics, LensCamera,
+};
 
 /// A calibration as people write it; a dataset's `[rig]` is one too.
 #[derive(Debug, Deserialize)]
@@ -19,6 +21,7 @@ struct Settings {
     /// Rows of the matrix that takes the left camera's axes to the right one's.
     rotation: Option<[[f64; 3]; 3]>,
     translation_m: Option<[f64; 3]>,
+    disparity_correction: Option<DisparityTerms>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -105,6 +108,7 @@ fn parts(settings: Settings, baseline_m: Option<f64>) -> Result<CalibrationParts
         rotation,
         translation_m,
         given: None,
+        disparity_correction: settings.disparity_correction,
     })
 }
 
