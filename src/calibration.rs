@@ -33,6 +33,7 @@ mod lines;
 mod opencv;
 mod rig;
 mod settings;
+mod writer;
 
 use std::fs::File;
 use std::io::Read as _;
@@ -42,6 +43,7 @@ use crate::error::{Error, Result};
 use crate::geometry::{CalibrationParts, StereoCalibration};
 
 pub use rig::{CalibratedRig, ImageState, RigOptions};
+pub use writer::to_toml;
 
 /// The largest file that is read, bytes: calibrations have one or two thousand.
 const MOST_BYTES: u64 = 1 << 20;

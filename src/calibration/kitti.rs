@@ -119,6 +119,7 @@ fn raw(text: &str, cameras: [u8; 2]) -> Result<CalibrationParts> {
             intrinsics: pair.intrinsics,
             baseline_m: pair.baseline_m(),
         }),
+        disparity_correction: None,
     })
 }
 
