@@ -1,6 +1,7 @@
 //! Laws of imports and exports on datasets that the tests write themselves.
 
 mod hostile;
+mod kinds;
 mod round_trip;
 mod streets;
 
