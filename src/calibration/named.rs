@@ -89,9 +89,13 @@ pub(super) fn parse(texts: &[&str]) -> Result<CalibrationParts> {
     parts(&entries)
 }
 
-/// Whether a file or message is of one camera.
+/// Whether a file or message is of one camera: has a whole matrix or projection.
 fn is_one_camera(file: &Entries) -> bool {
-    file.numbers(&MATRIX).is_some() || file.numbers(&PROJECTION).is_some()
+    let has = |names: &[&str], counts: &[usize]| {
+        let found = file.numbers(names);
+        found.is_some_and(|(_, matrix)| counts.contains(&matrix.values.len()))
+    };
+    has(&MATRIX, &[4, 9, 12]) || has(&PROJECTION, &[12])
 }
 
 /// What the documents of a file say. Messages that were printed again and again are one, and what
@@ -113,7 +117,10 @@ fn documents_of(text: &str) -> Result<Vec<Entries>> {
         };
         let is_repeated = |known: &Entries| {
             let own = numbers(&entries);
-            own.iter().any(Option::is_some) && own == numbers(known)
+            // One that broke off has not all of them.
+            let mut both = own.iter().zip(numbers(known));
+            own.iter().any(Option::is_some)
+                && both.all(|(own, known)| own.is_none() || *own == known)
         };
         if !found.iter().any(is_repeated) {
             found.push(entries);
