@@ -32,7 +32,8 @@ const MAX_FILE_BYTES: u64 = 1 << 29;
 /// [`Error::Io`] when the file cannot be read; [`Error::Image`] when it is none of these,
 /// truncated, damaged, or larger than 32768 pixels a side, 512 MiB as a file or 1 GiB decoded.
 pub fn load_rgb(path: impl AsRef<Path>) -> Result<RgbImage> {
-    Ok(rgb_from(decode(path.as_ref())?.0))
+    let path = path.as_ref();
+    Ok(rgb_from(decode(path, read(path)?)?.0))
 }
 
 /// [`load_rgb`], turned and mirrored as the file's Exif orientation says: as viewers show it, as
@@ -41,7 +42,12 @@ pub fn load_rgb(path: impl AsRef<Path>) -> Result<RgbImage> {
 /// # Errors
 /// As [`load_rgb`]. An orientation that cannot be read is none.
 pub fn load_upright(path: impl AsRef<Path>) -> Result<RgbImage> {
-    let (mut decoded, orientation) = decode(path.as_ref())?;
+    upright(path.as_ref(), read(path.as_ref())?)
+}
+
+/// The picture of a file's bytes, turned as they say.
+fn upright(path: &Path, bytes: Vec<u8>) -> Result<RgbImage> {
+    let (mut decoded, orientation) = decode(path, bytes)?;
     decoded.apply_orientation(orientation);
     Ok(rgb_from(decoded))
 }
@@ -62,7 +68,8 @@ pub struct ImageHeader {
 /// # Errors
 /// As [`load_rgb`], but damage behind the header is not noticed.
 pub fn header(path: impl AsRef<Path>) -> Result<ImageHeader> {
-    let (_, orientation, stored) = open(path.as_ref())?;
+    let path = path.as_ref();
+    let (_, orientation, stored) = open(path, read(path)?)?;
     let swaps = matches!(
         orientation,
         Orientation::Rotate90
@@ -98,8 +105,8 @@ fn refused(path: &Path, error: &ImageError) -> Error {
     }
 }
 
-/// A file's decoder, how its picture is to be turned, and its width and height as stored.
-fn open(path: &Path) -> Result<(impl ImageDecoder, Orientation, [u32; 2])> {
+/// The bytes of a file.
+fn read(path: &Path) -> Result<Vec<u8>> {
     let metadata = fs::metadata(path).map_err(Error::io("read", path))?;
     if metadata.len() > MAX_FILE_BYTES {
         return Err(too_large(
@@ -107,7 +114,11 @@ fn open(path: &Path) -> Result<(impl ImageDecoder, Orientation, [u32; 2])> {
             format!("the file has {} bytes", metadata.len()),
         ));
     }
-    let mut bytes = fs::read(path).map_err(Error::io("read", path))?;
+    fs::read(path).map_err(Error::io("read", path))
+}
+
+/// A file's decoder, how its picture is to be turned, and its width and height as stored.
+fn open(path: &Path, mut bytes: Vec<u8>) -> Result<(impl ImageDecoder, Orientation, [u32; 2])> {
     if bytes.is_empty() {
         return Err(Error::image(path, "the file is empty", "write it again"));
     }
@@ -157,8 +168,8 @@ fn open(path: &Path) -> Result<(impl ImageDecoder, Orientation, [u32; 2])> {
 }
 
 /// The pixels of a file as they are stored, and how they are to be turned.
-fn decode(path: &Path) -> Result<(DynamicImage, Orientation)> {
-    let (decoder, orientation, _) = open(path)?;
+fn decode(path: &Path, bytes: Vec<u8>) -> Result<(DynamicImage, Orientation)> {
+    let (decoder, orientation, _) = open(path, bytes)?;
     let decoded = DynamicImage::from_decoder(decoder).map_err(|error| refused(path, &error))?;
     Ok((decoded, orientation))
 }
@@ -189,5 +200,36 @@ fn rgb_from(decoded: DynamicImage) -> RgbImage {
             })
         }
         eight_bit => eight_bit.into_rgb8(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mutate::damaged;
+
+    #[test]
+    fn damaged_images_of_all_kinds_are_refused_or_read_and_nothing_else() {
+        let image = RgbImage::from_fn(24, 16, |x, y| Rgb([(x * 9) as u8, (y * 14) as u8, 7]));
+        let formats = [
+            ImageFormat::Png,
+            ImageFormat::Jpeg,
+            ImageFormat::Bmp,
+            ImageFormat::WebP,
+            ImageFormat::Tiff,
+        ];
+        let files = formats.map(|format| {
+            let mut bytes = Vec::new();
+            image
+                .write_to(&mut Cursor::new(&mut bytes), format)
+                .unwrap();
+            bytes
+        });
+        let seeds = files.each_ref().map(Vec::as_slice);
+        damaged(&seeds, |bytes| {
+            if let Ok(image) = upright(Path::new("damaged"), bytes.to_vec()) {
+                assert!(image.width() > 0 && image.height() > 0);
+            }
+        });
     }
 }

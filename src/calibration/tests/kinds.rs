@@ -433,3 +433,89 @@ fn wide_characters_of_windows_are_read() {
         read(OPENCV)
     );
 }
+
+/// The examples of the page about formats, each with its heading.
+fn examples() -> Vec<(&'static str, &'static str)> {
+    let page = include_str!("../../../docs/formats.md");
+    let begin = page.find("\n## Calibrations").unwrap();
+    let end = page.find("\n## Weights").unwrap();
+    let sections = page[begin..end].split("\n### ").skip(1);
+    let blocks = sections.flat_map(|section| {
+        let title = section.lines().next().unwrap();
+        // Between two fences, without the word behind the first.
+        let blocks = section.split("```").skip(1).step_by(2);
+        blocks.map(move |block| (title, block.split_once('\n').unwrap().1))
+    });
+    blocks.collect()
+}
+
+#[test]
+fn damaged_calibrations_are_refused_or_read_and_nothing_else() {
+    let mut texts: Vec<String> = examples()
+        .iter()
+        .map(|(_, text)| text.to_string())
+        .collect();
+    let lens = "k1=-0.17\nk2=0.025\nk3=0.001\np1=0.0002\np2=-0.0003";
+    texts.push(OPENCV.to_owned());
+    texts.push(zed(
+        &[
+            ("HD", [700.0, 640.0, 360.0]),
+            ("VGA", [350.0, 336.0, 188.0]),
+        ],
+        lens,
+        "Baseline=120",
+    ));
+    texts.push(sensor(0.1, "[-0.28, 0.07, 0.0002, 1.8e-05]"));
+    texts.extend([echo(-256.0, false, 1), echo(0.0, true, 2)]);
+    let seeds: Vec<&[u8]> = texts.iter().map(String::as_bytes).collect();
+    let options = LoadOptions {
+        image_size: Some([64, 36]),
+        ..LoadOptions::default()
+    };
+    crate::mutate::damaged(&seeds, |bytes| {
+        let Some(text) = text_of(bytes.to_vec()) else {
+            return;
+        };
+        if let Ok(calibration) = from_text(&text, &options) {
+            for images in [ImageState::Rectified, ImageState::Auto] {
+                let options = RigOptions {
+                    images,
+                    alpha: None,
+                };
+                if let Ok(rig) = CalibratedRig::new(&calibration, [16, 9], options) {
+                    assert!(rig.rig().baseline_m > 0.0);
+                }
+            }
+        }
+        format::parse(&[&text, &texts[1]], &[], &options).ok();
+    });
+}
+
+#[test]
+fn every_example_of_the_page_about_formats_is_read() {
+    let examples = examples();
+    for (title, text) in &examples {
+        let (title, text) = (*title, *text);
+        let rig = match title {
+            // The page shows the right camera's file.
+            "ROS" | "EuRoC" => {
+                let left = text.replace("-256.0", "0.0").replace("0, 0.8,", "0, 0,");
+                assert_ne!(left, text, "{title}");
+                let calibration = pair(&left, text).unwrap();
+                let options = RigOptions::default();
+                *CalibratedRig::new(&calibration, [640, 360], options)
+                    .unwrap()
+                    .rig()
+            }
+            _ => rig_of(text, [640, 360]),
+        };
+        // In ZED's file the images are half of the resolution's size.
+        if title == "ZED" {
+            assert_eq!((rig.focal_px(), rig.baseline_m), (320.0, 0.8));
+        } else {
+            assert_plain(&rig);
+        }
+    }
+    // RealSense has two.
+    assert_eq!(examples.len(), known().count() + 1);
+}

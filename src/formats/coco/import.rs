@@ -210,14 +210,18 @@ fn split_of(word: &str) -> Option<Split> {
 }
 
 fn read_file(path: &Path) -> Result<CocoFile> {
-    let text = files::read_text(path)?;
-    serde_json::from_str(&without_nan(&text)).map_err(|error| {
+    parse(&files::read_text(path)?).map_err(|problem| {
         Error::dataset(
             path,
-            format!("is not COCO's: {}", json_problem(&error)),
+            format!("is not COCO's: {problem}"),
             "it needs the lists images, annotations and categories",
         )
     })
+}
+
+/// Reads a file's text; the reason against it in words.
+fn parse(text: &str) -> Result<CocoFile, String> {
+    serde_json::from_str(&without_nan(text)).map_err(|error| json_problem(&error))
 }
 
 /// What the images of one file are read with.
@@ -424,5 +428,27 @@ mod tests {
         ] {
             assert_eq!(split_of(word), split, "{word}");
         }
+    }
+
+    #[test]
+    fn damaged_files_are_refused_or_read_and_nothing_else() {
+        let seeds: [&[u8]; 3] = [
+            br#"{"images": [{"id": 1, "file_name": "a.jpg", "width": 96, "height": 64}], "annotations": [{"id": 1, "image_id": 1, "category_id": 1, "bbox": [24, 16, 48, 32], "area": NaN, "iscrowd": null}], "categories": [{"id": 1, "name": "car"}]}"#,
+            br#"{"images": [{"id": "1", "file_name": "C:\\a.jpg"}], "annotations": [{"image_id": 1.0, "category_id": "1", "bbox": ["24", 16.5, 0, 32]}], "categories": [{"id": 1.0, "name": "car"}], "info": {}}"#,
+            br#"{"twinsight": {"kind": "tight"}, "images": [{"id": 1, "file_name": "a.jpg", "twinsight": {"scene": 3, "view": "front"}}], "annotations": [{"image_id": 1, "category_id": 1, "bbox": [1, 2, 3, 4], "twinsight": {"vehicle": 2, "distance_m": 12.5, "center": [3, 4], "edges": [1, 2, 4, 6]}}], "categories": [{"id": 1, "name": "car"}]}"#,
+        ];
+        crate::mutate::damaged(&seeds, |bytes| {
+            let Ok(file) = parse(&String::from_utf8_lossy(bytes)) else {
+                return;
+            };
+            let names = file.categories.iter().map(|category| category.name.clone());
+            let classes = ClassMap::identity(names);
+            let reader = Reader::new(Path::new("a.json"), None, &file, &classes);
+            for annotation in &file.annotations {
+                if let Ok(Found::Object(object)) = reader.object(annotation, [96, 64]) {
+                    assert!(object.box_pixel.clipped(96.0, 64.0).is_valid());
+                }
+            }
+        });
     }
 }

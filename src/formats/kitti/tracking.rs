@@ -243,4 +243,22 @@ mod tests {
         let tracks = [Some(5), None, Some(0), Some(5), None];
         assert_eq!(numbered(&tracks), [5, 1, 0, 2, 3]);
     }
+
+    #[test]
+    fn damaged_labels_are_refused_or_read_and_nothing_else() {
+        let seeds: [&[u8]; 3] = [
+            b"0 0 Car 0.00 0 -1.57 130.00 50.00 190.00 80.00 1.50 1.70 4.20 0.50 1.60 15.00 -1.57\n0 -1 DontCare -1 -1 -10 10.00 40.00 30.00 55.00 -1 -1 -1 -1000 -1000 -1000 -10\n",
+            b"car 0.00 0 0.00 130 50 190 80 0.00 0.00 0.00 0.00 0.00 0.00 0.00\nCar 0 0 0 1 2 3 4\n",
+            b"Car 0 0 0 20 20 40 30 1.5 1.6 4 0 1.7 12 0 0.98\n",
+        ];
+        crate::mutate::damaged(&seeds, |bytes| {
+            let text = String::from_utf8_lossy(bytes);
+            let tracked = parse_tracks(&text).unwrap_or_default();
+            let tracked = tracked.into_values().flatten().map(|(_, object)| object);
+            let objects = Object::parse_file(&text, "a.txt").unwrap_or_default();
+            for object in tracked.chain(objects) {
+                assert!(object.box_pixel.is_valid());
+            }
+        });
+    }
 }

@@ -243,4 +243,19 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn damaged_files_are_refused_or_read_and_nothing_else() {
+        let seeds: [&[u8]; 3] = [
+            b"path: .\ntrain: images/train\nval: [images/val, more]\nkpt_shape: [4, 2]\nnames:\n  0: car\n  1: traffic light\n",
+            b"train: ../train/images\nval: ../valid/images\nnc: 2\nnames: ['car', 7]\nroboflow: {license: x}\n",
+            b"train: a\nnames: [car]\ntwinsight: {kind: sphere, distance: true, rig: {width: 64, height: 36, baseline_m: 0.8, hfov_deg: 90.0}}\n",
+        ];
+        crate::mutate::damaged(&seeds, |bytes| {
+            match DataYaml::parse(&String::from_utf8_lossy(bytes)) {
+                Ok(yaml) => assert!(!yaml.names.is_empty() && !yaml.places.is_empty()),
+                Err(problem) => assert!(!problem.is_empty() && !problem.contains("from_str")),
+            }
+        });
+    }
 }

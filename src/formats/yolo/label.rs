@@ -263,4 +263,32 @@ mod tests {
             assert!(reason.contains(why), "{line}: {reason}");
         }
     }
+
+    #[test]
+    fn damaged_lines_are_refused_or_read_and_nothing_else() {
+        let seeds: [&[u8]; 4] = [
+            b"0 0.5 0.5 0.25 0.25 0.873",
+            b"3.0 1e-1 0.2 0.5 0.1 0.3 0.4",
+            b"0 0.5 0.5 0.25 0.25 0.45 0.45 0.55 0.45 0.55 0.55 0.45 0.55",
+            b"1 0.97 0.5 0.2 0.2",
+        ];
+        let shapes = [
+            None,
+            Some(Keypoints::Numbers(8)),
+            Some(Keypoints::Points(4)),
+        ];
+        crate::mutate::damaged(&seeds, |bytes| {
+            let text = String::from_utf8_lossy(bytes);
+            for keypoints in shapes {
+                let shape = LineShape {
+                    keypoints,
+                    distance_column: bytes.len() % 2 == 0,
+                };
+                if let Ok(Line::Object(label, _)) = YoloLabel::parse(&text, shape, [96, 64]) {
+                    let inside = label.box_pixel.clipped(96.0, 64.0);
+                    assert!(inside.is_valid() && inside == label.box_pixel);
+                }
+            }
+        });
+    }
 }
