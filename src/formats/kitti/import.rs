@@ -14,7 +14,7 @@ use super::super::vehicle::{self, Sighting};
 use super::super::{ClassMap, image_files};
 use super::calib::Calibration;
 use super::objects::{DONT_CARE, Object};
-use super::single::Single;
+use super::single::{LeftImage, Single};
 use crate::dataset::{BoxKind, Label, Problem, Split};
 use crate::error::{Error, Result};
 use crate::files;
@@ -77,7 +77,7 @@ impl Importer for Objects {
                 classes,
                 options,
             };
-            return single.draft(source, &training, &left_images, problems);
+            return single.draft(source, left_only(&training, left_images), problems);
         }
         let right_images = image_files(&training.join("image_3"), &mut problems)?;
         let outcomes: Vec<Result<Found, Problem>> = left_images
@@ -114,10 +114,21 @@ impl Importer for Objects {
                 options,
             };
             // They are all read again, and named again.
-            return single.draft(source, &training, &left_images, Vec::new());
+            return single.draft(source, left_only(&training, left_images), Vec::new());
         }
         stereo_draft(source, found, classes, options, &splits, problems)
     }
+}
+
+/// The left images with their labels.
+fn left_only(training: &Path, images: BTreeMap<String, PathBuf>) -> Vec<LeftImage> {
+    let of = |(name, path): (String, PathBuf)| LeftImage {
+        objects: read_objects(training, "label_2", &name),
+        name,
+        path,
+        scene: None,
+    };
+    images.into_iter().map(of).collect()
 }
 
 /// The wanted classes, or all cars as one.
@@ -180,7 +191,7 @@ pub(super) fn stereo_draft(
     Ok(draft)
 }
 
-pub(super) fn training_folder(source: &Path) -> Result<PathBuf> {
+fn training_folder(source: &Path) -> Result<PathBuf> {
     [source.join("training"), source.to_path_buf()]
         .into_iter()
         .find(|folder| folder.join("image_2").is_dir())
@@ -354,7 +365,7 @@ fn region(object: &Object, id: u32) -> [Label; 2] {
 
 /// Which frames the lists in `ImageSets` give to which split. The folder stands beside `training`,
 /// whichever of the two was given, or in it.
-pub(super) fn image_sets(training: &Path) -> Result<BTreeMap<String, Split>> {
+fn image_sets(training: &Path) -> Result<BTreeMap<String, Split>> {
     let training = training
         .canonicalize()
         .map_err(Error::io("read", training))?;

@@ -7,12 +7,11 @@ use rayon::prelude::*;
 
 use super::super::ClassMap;
 use super::super::copy;
-use super::super::draft::Draft;
+use super::super::draft::{Draft, DraftFrame};
 use super::super::flat::{Heap, HeapImage, HeapObject};
 use super::super::options::ImportOptions;
-use super::import::read_objects;
 use super::objects::{DONT_CARE, Object};
-use crate::dataset::{BoxKind, Problem, Split};
+use crate::dataset::{BoxKind, FrameRow, Problem, Split};
 use crate::error::Result;
 
 /// What the left images are read with.
@@ -24,20 +23,29 @@ pub(super) struct Single<'a> {
     pub options: &'a ImportOptions,
 }
 
+/// A left image with its labels, or the reason against them.
+pub(super) struct LeftImage {
+    pub name: String,
+    pub path: PathBuf,
+    pub objects: Result<Vec<Object>, String>,
+    /// The number of its sequence.
+    pub scene: Option<u32>,
+}
+
 impl Single<'_> {
     /// A dataset of single images, on which a detector can be trained.
     pub fn draft(
         &self,
         source: &Path,
-        training: &Path,
-        images: &BTreeMap<String, PathBuf>,
+        images: Vec<LeftImage>,
         mut problems: Vec<Problem>,
     ) -> Result<Draft> {
         let outcomes: Vec<Result<HeapImage, Problem>> = images
-            .par_iter()
-            .map(|(name, path)| {
-                self.image(training, name, path).map_err(|reason| Problem {
-                    subject: name.clone(),
+            .into_par_iter()
+            .map(|image| {
+                let name = image.name.clone();
+                self.image(image).map_err(|reason| Problem {
+                    subject: name,
                     reason,
                 })
             })
@@ -71,15 +79,22 @@ impl Single<'_> {
         })
     }
 
-    fn image(&self, training: &Path, name: &str, path: &Path) -> Result<HeapImage, String> {
-        let size = copy::dimensions(path).map_err(|error| error.to_string())?;
-        let objects = read_objects(training, "label_2", name)?;
+    fn image(&self, image: LeftImage) -> Result<HeapImage, String> {
+        let size = copy::dimensions(&image.path).map_err(|error| error.to_string())?;
+        let objects = image.objects?;
+        let row = image.scene.map(|scene| {
+            let row = DraftFrame::new(String::new(), 0, Vec::new(), Vec::new()).row;
+            FrameRow {
+                scene: Some(scene),
+                ..row
+            }
+        });
         Ok(HeapImage {
-            path: path.to_path_buf(),
-            name: name.to_owned(),
+            split: self.splits.get(&image.name).copied(),
+            path: image.path,
+            name: image.name,
             size,
-            split: self.splits.get(name).copied(),
-            row: None,
+            row,
             objects: objects
                 .iter()
                 .filter_map(|object| self.object(object, size))

@@ -13,6 +13,7 @@ use super::super::{ClassMap, copy, image_files};
 use super::calib::Calibration;
 use super::import::{Found, stereo_draft, wanted_classes};
 use super::objects::Object;
+use super::single::{LeftImage, Single};
 use crate::dataset::Problem;
 use crate::error::{Error, Result};
 use crate::files;
@@ -48,6 +49,10 @@ impl Importer for Tracking {
         let classes = wanted_classes(classes);
         let mut problems = Vec::new();
         let mut found = Vec::new();
+        let mut left_only = Vec::new();
+        let missing = ["image_03", "calib"]
+            .into_iter()
+            .find(|folder| !training.join(folder).is_dir());
         for (scene, folder) in (1..).zip(files_in(&training.join("image_02"))?.folders) {
             let name = folder.file_name().unwrap_or_default().to_string_lossy();
             let sequence = Sequence {
@@ -55,13 +60,28 @@ impl Importer for Tracking {
                 name: &name,
                 scene,
             };
-            match sequence.read(&folder, &mut problems) {
-                Ok(frames) => found.extend(frames),
-                Err(reason) => problems.push(Problem {
+            let read = if missing.is_some() {
+                let images = sequence.left_images(&folder, &mut problems);
+                images.map(|images| left_only.extend(images))
+            } else {
+                let frames = sequence.read(&folder, &mut problems);
+                frames.map(|frames| found.extend(frames))
+            };
+            if let Err(reason) = read {
+                problems.push(Problem {
                     subject: format!("sequence {name}"),
                     reason,
-                }),
+                });
             }
+        }
+        if let Some(missing) = missing {
+            let single = Single {
+                reason: format!("there is no folder {missing}"),
+                splits: BTreeMap::new(),
+                classes,
+                options,
+            };
+            return single.draft(source, left_only, problems);
         }
         stereo_draft(source, found, classes, options, &BTreeMap::new(), problems)
     }
@@ -96,18 +116,46 @@ struct Sequence<'a> {
 type Tracked = Vec<(Option<u32>, Object)>;
 
 impl Sequence<'_> {
+    /// The sequence's file in a folder.
+    fn file_in(&self, folder: &str) -> PathBuf {
+        let name = format!("{}.txt", self.name);
+        self.training.join(folder).join(name)
+    }
+
+    /// The objects by frame; the reason against all of them in words.
+    fn objects(&self) -> Result<BTreeMap<u32, Tracked>, String> {
+        let text = files::read_text(self.file_in("label_02")).map_err(|error| error.to_string())?;
+        parse_tracks(&text).map_err(|reason| format!("label_02/{}.txt {reason}", self.name))
+    }
+
+    /// Reads the left images alone; the reason against all of them in words.
+    fn left_images(
+        &self,
+        left: &Path,
+        problems: &mut Vec<Problem>,
+    ) -> Result<Vec<LeftImage>, String> {
+        let mut objects = self.objects()?;
+        let left = image_files(left, problems).map_err(|error| error.to_string())?;
+        let of = |(name, path): (String, PathBuf)| {
+            let number = whole(&name, "the number of the frame");
+            let tracked = number.map(|number| objects.remove(&number).unwrap_or_default());
+            LeftImage {
+                name: format!("{}/{name}", self.name),
+                path,
+                objects: tracked
+                    .map(|tracked| tracked.into_iter().map(|(_, object)| object).collect()),
+                scene: Some(self.scene),
+            }
+        };
+        Ok(left.into_iter().map(of).collect())
+    }
+
     /// Reads the frames; the reason against all of them in words.
     fn read(&self, left: &Path, problems: &mut Vec<Problem>) -> Result<Vec<Found>, String> {
         let said = |error: Error| error.to_string();
-        let of_sequence = |folder: &str| {
-            let name = format!("{}.txt", self.name);
-            self.training.join(folder).join(name)
-        };
-        let calibration = Calibration::read(&of_sequence("calib"))
+        let calibration = Calibration::read(&self.file_in("calib"))
             .map_err(|reason| format!("calibration: {reason}"))?;
-        let text = files::read_text(of_sequence("label_02")).map_err(said)?;
-        let mut objects =
-            parse_tracks(&text).map_err(|reason| format!("label_02/{}.txt {reason}", self.name))?;
+        let mut objects = self.objects()?;
         let left = image_files(left, problems).map_err(said)?;
         let right = self.training.join("image_03").join(self.name);
         let right = image_files(&right, problems).map_err(said)?;

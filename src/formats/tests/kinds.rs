@@ -522,6 +522,16 @@ fn tracks_of_kitti_are_pairs_with_their_sequences_kept_apart() {
         assert!(splits.iter().all(|split| *split == splits[0]), "{splits:?}");
     }
     assert_sound(&place.path("out"));
+    // The left images alone, of which the sequences stay apart as well.
+    fs::remove_dir_all(place.path("kitti/training/image_03")).unwrap();
+    target.out = place.path("left");
+    let report = import("kitti", &place.path("kitti"), &options, &target, &Silent).unwrap();
+    assert_eq!((report.counts.train, report.counts.val), (3, 3));
+    assert_eq!((report.vehicles, report.with_distance), (12, 0));
+    let left = place.open("left");
+    assert!(!left.info.stereo);
+    let scenes: Vec<_> = left.frames.iter().map(|frame| frame.row.scene).collect();
+    assert_eq!(scenes, [1, 1, 1, 2, 2, 2].map(Some));
 }
 
 #[test]

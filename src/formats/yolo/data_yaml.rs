@@ -88,9 +88,16 @@ impl DataYaml {
         })
     }
 
-    /// Class names in the order of their indices.
+    /// Class names in the order of their indices, each once.
     pub fn class_names(&self) -> Vec<String> {
-        self.names.values().cloned().collect()
+        let mut all: Vec<String> = Vec::new();
+        for name in self.names.values() {
+            // Merged datasets have one class under several numbers.
+            if !all.contains(name) {
+                all.push(name.clone());
+            }
+        }
+        all
     }
 
     /// How lines of labels are read; `distance_column` is the user's word.

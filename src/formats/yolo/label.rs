@@ -108,14 +108,30 @@ fn plain_box(numbers: &[f64]) -> Result<EdgesAndSixth, String> {
     match *numbers {
         [x, y, w, h] => Ok((box_of(x, y, w, h), None)),
         [x, y, w, h, sixth] => Ok((box_of(x, y, w, h), Some(sixth))),
+        // Trackers write their confidence and the number of the track behind the box; a polygon has
+        // no corner that far out.
+        [x, y, w, h, sixth, track] if track > 1.0 && track.fract() == 0.0 => {
+            Ok((box_of(x, y, w, h), Some(sixth)))
+        }
         [_, _, _, _, _, _, ..] if numbers.len().is_multiple_of(2) => Ok((around(numbers), None)),
-        [_, _, _, _, _, _, ..] => Err(format!(
-            "has {} numbers after the class: neither a box nor a polygon; for key points data.yaml \
+        [_, _, _, _, _, _, ..] if are_seen_points(&numbers[4..]) => Err(format!(
+            "has {} numbers after the class, which look like a box and key points: then data.yaml \
              needs kpt_shape",
             numbers.len()
         )),
+        // A polygon and its confidence.
+        [ref corners @ .., sixth] if corners.len() >= 6 => Ok((around(corners), Some(sixth))),
         _ => Err(format!("has {} numbers after the class", numbers.len())),
     }
+}
+
+/// Whether numbers could be key points, each with 0, 1 or 2 for how it is seen.
+fn are_seen_points(numbers: &[f64]) -> bool {
+    let (points, rest) = numbers.as_chunks::<3>();
+    rest.is_empty()
+        && points
+            .iter()
+            .all(|[_, _, seen]| [0.0, 1.0, 2.0].contains(seen))
 }
 
 /// A box, its key points where it has them, and one number more or none.
@@ -227,6 +243,20 @@ mod tests {
         assert_eq!((plain.distance_m, has_confidence), (None, true));
         let (told, has_confidence) = label(line, DISTANCE, [64, 48]);
         assert_eq!((told.distance_m, has_confidence), (Some(0.873), false));
+    }
+
+    #[test]
+    fn what_detectors_and_trackers_write_behind_boxes_and_polygons_is_no_corner() {
+        let size = [100, 100];
+        let middle = PixelBox::new(40.0, 40.0, 60.0, 60.0);
+        let found = label("0 0.5 0.5 0.2 0.2 0.873 7", LineShape::default(), size);
+        assert_eq!((found.0.box_pixel, found.1), (middle, true));
+        let found = label("0 0.1 0.2 0.5 0.1 0.3 0.4 0.91", LineShape::default(), size);
+        let around = PixelBox::new(10.0, 10.0, 50.0, 40.0);
+        assert_eq!((found.0.box_pixel, found.1), (around, true));
+        // A corner at the border stays one.
+        let found = label("0 0.1 0.2 0.5 0.1 0.3 1", LineShape::default(), size);
+        assert_eq!(found.0.box_pixel, PixelBox::new(10.0, 10.0, 50.0, 100.0));
     }
 
     #[test]
