@@ -28,6 +28,7 @@
 //! Knows neither networks nor datasets.
 
 mod cityscapes;
+mod documents;
 mod entries;
 mod euroc;
 mod format;
@@ -40,6 +41,7 @@ mod named;
 mod oak;
 mod opencv;
 mod orb_slam;
+mod places;
 mod realsense;
 mod resolution;
 mod rig;

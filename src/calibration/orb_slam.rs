@@ -13,6 +13,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::documents::tree;
 use super::entries::{Entries, Matrix};
 use super::format::Format;
 use super::named;
@@ -44,7 +45,7 @@ impl Format for OrbSlam {
 
     fn parse(&self, texts: &[&str], options: &LoadOptions) -> Result<CalibrationParts> {
         let text = texts.first().copied().unwrap_or_default();
-        let entries = Entries::of(&named::tree(text)?)?;
+        let entries = Entries::of(&tree(text)?)?;
         // The older form for unrectified images has whole matrices beside it.
         if entries.numbers(&["leftk"]).is_some() && entries.numbers(&["rightk"]).is_some() {
             return named::parse(texts);

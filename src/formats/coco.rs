@@ -13,6 +13,7 @@
 //! annotation, which other programs ignore.
 
 mod export;
+mod files;
 mod import;
 mod lenient;
 

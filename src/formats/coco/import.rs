@@ -1,9 +1,7 @@
 //! COCO in.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::io::{Read as _, Seek as _, SeekFrom};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rayon::prelude::*;
 
@@ -13,22 +11,13 @@ use super::super::finder::Finder;
 use super::super::flat::{Heap, HeapImage, HeapObject};
 use super::super::importer::Importer;
 use super::super::options::ImportOptions;
-use super::lenient::{Id, Number, without_nan};
+use super::files::{file_word, json_paths, read_file, speaks_of_coco, split_of};
+use super::lenient::{Id, Number};
 use super::{CocoAnnotation, CocoFile, CocoImage};
 use crate::dataset::{BoxKind, FrameRow, Problem, Split};
-use crate::error::{Error, Result, json_problem};
-use crate::files;
+use crate::error::{Error, Result};
 use crate::geometry::{PixelBox, StereoRig};
 use crate::imaging;
-
-/// How the names of files that are no instances begin, in COCO's own folder.
-const OTHERS: [&str; 5] = [
-    "captions",
-    "person_keypoints",
-    "stuff",
-    "panoptic",
-    "image_info",
-];
 
 /// COCO's instance annotations.
 pub(in super::super) struct Coco;
@@ -118,110 +107,6 @@ impl Importer for Coco {
         }
         heap.into_draft(options)
     }
-}
-
-/// The files of annotations in a folder: in itself, in `annotations`, or in the folders in it.
-fn json_paths(source: &Path) -> Result<Vec<PathBuf>> {
-    if !source.is_dir() {
-        return Ok(vec![source.to_path_buf()]);
-    }
-    let mut folders = vec![vec![source.join("annotations")], vec![source.to_path_buf()]];
-    let inner = imaging::files_in(source)?.folders;
-    folders.push(
-        inner
-            .iter()
-            .map(|inner| inner.join("annotations"))
-            .collect(),
-    );
-    folders.push(inner);
-    for folders in folders {
-        let mut found = Vec::new();
-        for folder in folders.iter().filter(|folder| folder.is_dir()) {
-            found.extend(jsons_in(folder)?);
-        }
-        // COCO's own folder has captions and key points beside the instances.
-        let is_instances = |path: &PathBuf| file_word(path).starts_with("instances");
-        if found.iter().any(is_instances) {
-            found.retain(is_instances);
-        } else {
-            let is_other = |path: &PathBuf| OTHERS.iter().any(|o| file_word(path).starts_with(o));
-            found.retain(|path| !is_other(path));
-        }
-        // Settings and the like may lie beside them.
-        if found.iter().any(|path| speaks_of_coco(path)) {
-            found.retain(|path| speaks_of_coco(path));
-        }
-        if !found.is_empty() {
-            return Ok(found);
-        }
-    }
-    Err(Error::dataset(
-        source,
-        "holds no JSON file",
-        "give the file of annotations",
-    ))
-}
-
-fn jsons_in(folder: &Path) -> Result<Vec<PathBuf>> {
-    let entries = fs::read_dir(folder).map_err(Error::io("read", folder))?;
-    let is_json = |path: &PathBuf| {
-        path.extension()
-            .is_some_and(|ending| ending.eq_ignore_ascii_case("json"))
-    };
-    let mut found: Vec<PathBuf> = entries
-        .filter_map(|entry| Some(entry.ok()?.path()))
-        .filter(is_json)
-        .collect();
-    found.sort();
-    Ok(found)
-}
-
-/// Whether the beginning or the end of a file has one of the words that COCO's lists are called.
-fn speaks_of_coco(path: &Path) -> bool {
-    const PIECE: u64 = 1 << 16;
-    let Ok(mut file) = fs::File::open(path) else {
-        return false;
-    };
-    let length = file.metadata().map_or(0, |metadata| metadata.len());
-    let mut bytes = Vec::new();
-    let read = file.by_ref().take(PIECE).read_to_end(&mut bytes);
-    if length > PIECE && file.seek(SeekFrom::End(-(PIECE as i64))).is_ok() {
-        file.take(PIECE).read_to_end(&mut bytes).ok();
-    }
-    let text = String::from_utf8_lossy(&bytes);
-    let has = |word: &str| text.contains(word);
-    read.is_ok() && (has("\"annotations\"") || has("\"categories\"")) && has("\"images\"")
-        || has("\"image_id\"") && has("\"bbox\"") && has("\"categories\"")
-}
-
-/// A file's name without folders and ending.
-fn file_word(path: &Path) -> String {
-    let stem = path.file_stem().unwrap_or_default();
-    stem.to_string_lossy().into_owned()
-}
-
-/// The split that a word speaks of, such as `instances_train2017` or `valid`.
-fn split_of(word: &str) -> Option<Split> {
-    let word = word.to_lowercase();
-    Split::ALL
-        .iter()
-        .copied()
-        .find(|split| word.contains(split.word()))
-}
-
-fn read_file(path: &Path) -> Result<CocoFile> {
-    parse(&files::read_text(path)?).map_err(|problem| {
-        Error::dataset(
-            path,
-            format!("is not COCO's: {problem}"),
-            "it needs the lists images, annotations and categories",
-        )
-    })
-}
-
-/// Reads a file's text; the reason against it in words.
-fn parse(text: &str) -> Result<CocoFile, String> {
-    serde_json::from_str(&without_nan(text)).map_err(|error| json_problem(&error))
 }
 
 /// What the images of one file are read with.
@@ -415,20 +300,8 @@ enum Found {
 
 #[cfg(test)]
 mod tests {
+    use super::super::files::parse;
     use super::*;
-
-    #[test]
-    fn names_of_files_and_folders_say_which_split_they_are() {
-        for (word, split) in [
-            ("instances_train2017", Some(Split::Train)),
-            ("valid", Some(Split::Val)),
-            ("Validation", Some(Split::Val)),
-            ("test-dev", Some(Split::Test)),
-            ("_annotations.coco", None),
-        ] {
-            assert_eq!(split_of(word), split, "{word}");
-        }
-    }
 
     #[test]
     fn damaged_files_are_refused_or_read_and_nothing_else() {

@@ -2,19 +2,19 @@
 
 use super::*;
 use crate::geometry::PixelBox;
-use crate::imaging::{jpeg_bytes, load_rgb};
+use crate::imaging::jpeg_bytes;
 
-const SIZE: [u32; 2] = [96, 64];
+pub(super) const SIZE: [u32; 2] = [96, 64];
 
 /// The box of an object at 0.5 0.5 0.5 0.5 in an image of [`SIZE`].
-const MIDDLE: PixelBox = PixelBox {
+pub(super) const MIDDLE: PixelBox = PixelBox {
     x_min: 24.0,
     y_min: 16.0,
     x_max: 72.0,
     y_max: 48.0,
 };
 
-fn default_import(format: &str, place: &Place, source: &str) -> Result<ImportReport> {
+pub(super) fn default_import(format: &str, place: &Place, source: &str) -> Result<ImportReport> {
     let options = ImportOptions::default();
     import(
         format,
@@ -26,7 +26,7 @@ fn default_import(format: &str, place: &Place, source: &str) -> Result<ImportRep
 }
 
 /// Boxes of all frames.
-fn boxes(dataset: &StereoDataset) -> Vec<Vec<PixelBox>> {
+pub(super) fn boxes(dataset: &StereoDataset) -> Vec<Vec<PixelBox>> {
     let of = |frame: &crate::dataset::Frame| {
         let labels = frame.left.labels.iter();
         labels.map(|label| label.box_pixel).collect()
@@ -35,7 +35,7 @@ fn boxes(dataset: &StereoDataset) -> Vec<Vec<PixelBox>> {
 }
 
 /// A JPEG file with an Exif orientation, its left half black as it is stored.
-fn turned(place: &Place, name: &str, orientation: u8, [width, height]: [u32; 2]) {
+pub(super) fn turned(place: &Place, name: &str, orientation: u8, [width, height]: [u32; 2]) {
     let path = place.path(name);
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     let half = RgbImage::from_fn(width, height, |x, _| {
@@ -91,47 +91,6 @@ fn boxes_of_yolo_on_turned_photos_count_in_the_picture_as_it_is_shown() {
         );
     }
     assert_sound(&place.path("out"));
-}
-
-#[test]
-fn boxes_of_coco_count_in_the_pixels_of_the_size_that_the_file_says() {
-    let place = Place::new();
-    for name in ["shown", "stored", "unsaid", "wrong"] {
-        turned(&place, &format!("coco/images/{name}.jpg"), 6, [96, 48]);
-    }
-    let json = r#"{"images": [
-        {"id": 1, "file_name": "shown.jpg", "width": 48, "height": 96},
-        {"id": 2, "file_name": "stored.jpg", "width": 96, "height": 48},
-        {"id": 3, "file_name": "unsaid.jpg"},
-        {"id": 4, "file_name": "wrong.jpg", "width": 95, "height": 48}],
-        "annotations": [
-        {"id": 1, "image_id": 1, "category_id": 1, "bbox": [0, 0, 24, 24]},
-        {"id": 2, "image_id": 2, "category_id": 1, "bbox": [0, 24, 24, 24]},
-        {"id": 3, "image_id": 3, "category_id": 1, "bbox": [0, 0, 24, 24]}],
-        "categories": [{"id": 1, "name": "car"}]}"#;
-    place.write("coco/annotations/instances_train.json", json);
-    let report = default_import("coco", &place, "coco").unwrap();
-    assert_eq!(report.frames(), 3);
-    assert!(reasons(&report).contains("has 48x96 pixels and the annotations say 95x48"));
-    let dataset = place.open("out");
-    // One canvas for all: 96 x 96.
-    let edges = |b: &PixelBox| [b.x_min, b.y_min, b.x_max, b.y_max];
-    let found: Vec<_> = boxes(&dataset).iter().map(|b| edges(&b[0])).collect();
-    let upper = [0.0, 0.0, 24.0, 24.0];
-    assert_eq!(found, [upper, [0.0, 24.0, 24.0, 48.0], upper]);
-    // The dark half is on top as it is shown, on the left as it is stored.
-    for (frame, [x, y]) in dataset.frames.iter().zip([[36, 24], [12, 36], [36, 24]]) {
-        let image = load_rgb(&frame.left.path).unwrap();
-        assert_eq!(image.dimensions(), (96, 96));
-        assert!(image.get_pixel(x, y).0[0] < 40);
-    }
-    assert!(
-        load_rgb(&dataset.frames[1].left.path)
-            .unwrap()
-            .get_pixel(60, 12)
-            .0[0]
-            > 215
-    );
 }
 
 /// A YOLO folder of two training images and one to validate, with these lines.
@@ -310,265 +269,6 @@ fn paths_of_other_machines_in_data_yaml_and_lists_lead_to_the_images_here() {
             found.contains("/content/gone.png: the image is not there"),
             name == "list"
         );
-    }
-}
-
-const CATEGORIES: &str = r#""categories": [{"id": 1, "name": "car"}]"#;
-
-/// A COCO folder of three images whose file says this of each.
-fn coco_folder(place: &Place, image: impl Fn(u32) -> String, annotation: impl Fn(u32) -> String) {
-    for number in 0..3 {
-        place.image(&format!("coco/images/im{number}.jpg"), SIZE, number + 1);
-    }
-    let list = |of: &dyn Fn(u32) -> String| (0..3).map(of).collect::<Vec<_>>().join(", ");
-    let text = format!(
-        "{{\"images\": [{}], \"annotations\": [{}], {CATEGORIES}}}",
-        list(&image),
-        list(&annotation)
-    );
-    place.write("coco/annotations/instances_train.json", &text);
-}
-
-#[test]
-fn coco_is_read_however_its_numbers_are_written() {
-    let plain_image =
-        |n: u32| format!(r#"{{"id": {n}, "file_name": "im{n}.jpg", "width": 96, "height": 64}}"#);
-    let plain = |n: u32| {
-        format!(
-            r#"{{"id": {n}, "image_id": {n}, "category_id": 1, "bbox": [24, 16, 48, 32], "area": 1, "iscrowd": 0}}"#
-        )
-    };
-    let changed = |from: &'static str, to: &'static str| move |n: u32| plain(n).replace(from, to);
-    let image_changed =
-        |from: &'static str, to: &'static str| move |n: u32| plain_image(n).replace(from, to);
-    type Text = Box<dyn Fn(u32) -> String>;
-    let cases: Vec<(Text, Text)> = vec![
-        (Box::new(plain_image), Box::new(plain)),
-        (
-            Box::new(move |n| {
-                plain_image(n).replacen(&format!("\"id\": {n}"), &format!("\"id\": {n}.0"), 1)
-            }),
-            Box::new(changed("\"category_id\": 1", "\"category_id\": 1.0")),
-        ),
-        (
-            Box::new(move |n| {
-                plain_image(n).replacen(&format!("\"id\": {n}"), &format!("\"id\": \"{n}\""), 1)
-            }),
-            Box::new(move |n| {
-                plain(n).replace(
-                    &format!("\"image_id\": {n}"),
-                    &format!("\"image_id\": \"{n}\""),
-                )
-            }),
-        ),
-        (
-            Box::new(plain_image),
-            Box::new(changed("\"iscrowd\": 0", "\"iscrowd\": null")),
-        ),
-        (
-            Box::new(plain_image),
-            Box::new(changed("\"iscrowd\": 0", "\"iscrowd\": false")),
-        ),
-        (
-            Box::new(plain_image),
-            Box::new(changed("\"iscrowd\": 0", "\"iscrowd\": 0.0")),
-        ),
-        (
-            Box::new(plain_image),
-            Box::new(changed("\"area\": 1", "\"area\": NaN")),
-        ),
-        (
-            Box::new(plain_image),
-            Box::new(changed("[24, 16, 48, 32]", "[\"24\", 16.0, 48, 32]")),
-        ),
-        (
-            Box::new(image_changed(", \"width\": 96, \"height\": 64", "")),
-            Box::new(plain),
-        ),
-        (
-            Box::new(image_changed("\"width\": 96", "\"width\": null")),
-            Box::new(plain),
-        ),
-        (
-            Box::new(image_changed("\"height\": 64", "\"height\": \"64\"")),
-            Box::new(plain),
-        ),
-        (
-            Box::new(image_changed("\"im", "\"C:\\\\data\\\\images\\\\im")),
-            Box::new(plain),
-        ),
-        (
-            Box::new(image_changed("\"im", "\"/home/me/set/im")),
-            Box::new(plain),
-        ),
-    ];
-    for (number, (image, annotation)) in cases.into_iter().enumerate() {
-        let place = Place::new();
-        coco_folder(&place, image, annotation);
-        let report = default_import("coco", &place, "coco").unwrap();
-        let found = (report.frames(), report.vehicles, report.ignored);
-        assert_eq!(found, (3, 3, 0), "case {number}: {}", reasons(&report));
-        assert_eq!(boxes(&place.open("out")), vec![vec![MIDDLE]; 3], "{number}");
-    }
-    let place = Place::new();
-    coco_folder(
-        &place,
-        plain_image,
-        changed("\"iscrowd\": 0", "\"iscrowd\": true"),
-    );
-    assert_eq!(default_import("coco", &place, "coco").unwrap().ignored, 3);
-}
-
-#[test]
-fn boxes_of_coco_without_size_are_left_out_and_their_images_stay() {
-    let place = Place::new();
-    let image = |n: u32| format!(r#"{{"id": {n}, "file_name": "im{n}.jpg"}}"#);
-    let annotation = |n: u32| {
-        let bbox = ["24, 16, 48, 32", "24, 16, 0, 32", "200, 16, 48, 32"][n as usize];
-        format!(r#"{{"id": {n}, "image_id": {n}, "category_id": 1, "bbox": [{bbox}]}}"#)
-    };
-    coco_folder(&place, image, annotation);
-    let report = default_import("coco", &place, "coco").unwrap();
-    assert_eq!((report.frames(), report.vehicles), (3, 1));
-    let found = reasons(&report);
-    assert!(found.contains("im1.jpg: a box has no size"), "{found}");
-    assert!(
-        found.contains("im2.jpg: a box lies outside of the image"),
-        "{found}"
-    );
-}
-
-#[test]
-fn coco_beside_its_images_in_a_folder_a_split_is_read_as_roboflow_writes_it() {
-    let place = Place::new();
-    for (split, count) in [("train", 2), ("valid", 1), ("test", 1)] {
-        let list = |item: &dyn Fn(u32) -> String| -> String {
-            (0..count).map(item).collect::<Vec<_>>().join(", ")
-        };
-        let images = list(&|n| {
-            format!(r#"{{"id": {n}, "file_name": "im{n}.jpg", "width": 96, "height": 64}}"#)
-        });
-        let annotations = list(&|n| {
-            format!(r#"{{"id": {n}, "image_id": {n}, "category_id": 1, "bbox": [24, 16, 48, 32]}}"#)
-        });
-        for n in 0..count {
-            place.image(&format!("set/{split}/im{n}.jpg"), SIZE, n + 1);
-        }
-        let text =
-            format!("{{\"images\": [{images}], \"annotations\": [{annotations}], {CATEGORIES}}}");
-        place.write(&format!("set/{split}/_annotations.coco.json"), &text);
-    }
-    let report = default_import("coco", &place, "set").unwrap();
-    let counts = report.counts;
-    assert_eq!((counts.train, counts.val, counts.test), (2, 1, 1));
-    assert_eq!(boxes(&place.open("out")), vec![vec![MIDDLE]; 4]);
-}
-
-const CAR: &str = "Car 0.00 0 -1.57 130.00 50.00 190.00 80.00 1.50 1.70 4.20 0.50 1.60 15.00 -1.57";
-
-const CALIBRATION: &str = "P2: 200 0 160 12 0 200 60 0 0 0 1 0\nP3: 200 0 160 -96 0 200 60 0 0 0 1 0\n\
-                           R_rect 1 0 0 0 1 0 0 0 1\n";
-
-#[test]
-fn tracks_of_kitti_are_pairs_with_their_sequences_kept_apart() {
-    let place = Place::new();
-    for sequence in ["0000", "0007"] {
-        let mut labels = String::new();
-        for frame in 0..3 {
-            for (camera, folder) in [(1, "image_02"), (2, "image_03")] {
-                let name = format!("kitti/training/{folder}/{sequence}/{frame:06}.png");
-                let seed = camera * 10 + frame + u32::from(sequence == "0007") * 5;
-                place.image(&name, [320, 120], seed);
-            }
-            labels += &format!(
-                "{frame} 4 {CAR}\n{frame} -1 DontCare -1 -1 -10 10 40 30 55 -1 -1 -1 -1000 -1000 \
-                 -1000 -10\n{frame} 2 Pedestrian 0 0 0.2 200 40 210 80 1.8 0.5 0.5 3 1.6 12 0.1\n"
-            );
-        }
-        place.write(&format!("kitti/training/calib/{sequence}.txt"), CALIBRATION);
-        place.write(&format!("kitti/training/label_02/{sequence}.txt"), &labels);
-    }
-    let mut target = place.target("out");
-    target.splits.val_fraction = 0.5;
-    let options = ImportOptions::default();
-    let report = import("kitti", &place.path("kitti"), &options, &target, &Silent).unwrap();
-    assert_eq!((report.counts.train, report.counts.val), (3, 3));
-    assert_eq!(
-        (report.vehicles, report.ignored, report.with_distance),
-        (12, 6, 6)
-    );
-    let dataset = place.open("out");
-    assert!((dataset.rig().baseline_m - 0.54).abs() < 1e-9);
-    for (index, frame) in dataset.frames.iter().enumerate() {
-        assert_eq!(frame.row.scene, Some(1 + index as u32 / 3));
-        let [vehicle] = &frame.vehicles(BoxKind::Tight)[..] else {
-            panic!("one car counts");
-        };
-        // The rig's middle is 21 cm right of the reference; the centre is 75 cm above the bottom.
-        let expected_m = ((0.5 - 0.21_f64).powi(2) + 0.85_f64.powi(2) + 225.0).sqrt();
-        assert!((vehicle.distance_m - expected_m).abs() < 1e-4);
-        assert_eq!(vehicle.id, 4);
-        assert_eq!(
-            vehicle.left.box_pixel,
-            PixelBox::new(130.5, 50.5, 190.5, 80.5)
-        );
-    }
-    let splits = |scene| -> Vec<Split> {
-        let of_scene = dataset.frames.iter().filter(|f| f.row.scene == Some(scene));
-        of_scene.map(|frame| frame.row.split).collect()
-    };
-    for scene in [1, 2] {
-        let splits = splits(scene);
-        assert!(splits.iter().all(|split| *split == splits[0]), "{splits:?}");
-    }
-    assert_sound(&place.path("out"));
-    // The left images alone, of which the sequences stay apart as well.
-    fs::remove_dir_all(place.path("kitti/training/image_03")).unwrap();
-    target.out = place.path("left");
-    let report = import("kitti", &place.path("kitti"), &options, &target, &Silent).unwrap();
-    assert_eq!((report.counts.train, report.counts.val), (3, 3));
-    assert_eq!((report.vehicles, report.with_distance), (12, 0));
-    let left = place.open("left");
-    assert!(!left.info.stereo);
-    let scenes: Vec<_> = left.frames.iter().map(|frame| frame.row.scene).collect();
-    assert_eq!(scenes, [1, 1, 1, 2, 2, 2].map(Some));
-}
-
-#[test]
-fn kitti_with_boxes_in_the_image_alone_becomes_single_images() {
-    let unknown = "car 0.00 0 0.00 130 50 190 80 0.00 0.00 0.00 0.00 0.00 0.00 0.00";
-    for (line, folders) in [
-        (unknown, &["image_2"][..]),
-        ("Car 0 0 0 130 50 190 80", &["image_2"]),
-        (CAR, &["image_2"]),
-        (unknown, &["image_2", "image_3"]),
-    ] {
-        let place = Place::new();
-        for id in 0..3 {
-            for (number, folder) in folders.iter().enumerate() {
-                let name = format!("kitti/training/{folder}/{id:06}.png");
-                place.image(&name, [320, 120], id * 2 + number as u32);
-            }
-            if folders.len() == 2 {
-                place.write(&format!("kitti/training/calib/{id:06}.txt"), CALIBRATION);
-            }
-            let lines =
-                format!("{line}\nDontCare -1 -1 -10 1 1 9 9 -1 -1 -1 -1000 -1000 -1000 -10\n");
-            place.write(&format!("kitti/training/label_2/{id:06}.txt"), &lines);
-        }
-        let report = default_import("kitti", &place, "kitti").unwrap();
-        assert_eq!(
-            (report.frames(), report.vehicles, report.ignored),
-            (3, 6, 3),
-            "{line}"
-        );
-        assert!(reasons(&report).contains("single images, for a detector"));
-        let dataset = place.open("out");
-        assert!(!dataset.info.stereo);
-        let labels = &dataset.frames[0].left.labels;
-        assert_eq!(labels[0].box_pixel, PixelBox::new(130.5, 50.5, 190.5, 80.5));
-        assert!(!labels[0].ignored && labels[1].ignored);
-        assert_eq!(labels[0].distance_m, None);
     }
 }
 
