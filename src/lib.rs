@@ -95,6 +95,8 @@ pub mod imaging;
 pub mod inspect;
 pub mod kernels;
 pub mod metrics;
+#[cfg(test)]
+mod mutate;
 pub mod nn;
 mod page;
 pub mod pairing;

@@ -3,15 +3,58 @@
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
+use super::LoadOptions;
+use super::format::Format;
 use crate::error::{Error, Result};
 use crate::geometry::{
     CalibrationParts, Camera, DisparityTerms, Distortion, Intrinsics, LensCamera, StereoCalibration,
 };
 
+/// This program's own form.
+pub(super) struct Settings;
+
+/// Names at the beginning of lines that only this form has.
+const NAMES: [&str; 7] = [
+    "width",
+    "height",
+    "hfov_deg",
+    "baseline_m",
+    "rotation",
+    "translation_m",
+    "version",
+];
+
+impl Format for Settings {
+    fn name(&self) -> &'static str {
+        "TOML"
+    }
+
+    fn sign(&self) -> &'static str {
+        "width, height, baseline_m and hfov_deg or [left] and [right]; also a dataset.toml"
+    }
+
+    fn matches(&self, text: &str) -> bool {
+        text.lines().map(str::trim).any(|line| {
+            let is_table = ["[left]", "[right]", "[rig]"].contains(&line);
+            let key = line.split_once('=').map(|(key, _)| key.trim());
+            is_table || key.is_some_and(|key| NAMES.contains(&key))
+        })
+    }
+
+    fn has_name(&self, name: &str) -> bool {
+        name.ends_with(".toml")
+    }
+
+    fn parse(&self, texts: &[&str], options: &LoadOptions) -> Result<CalibrationParts> {
+        let text = texts.first().copied().unwrap_or_default();
+        parse(text, options.baseline_m)
+    }
+}
+
 /// A calibration as people write it; a dataset's `[rig]` is one too.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Settings {
+pub(super) struct Written {
     width: u32,
     height: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -45,10 +88,10 @@ struct CameraSettings {
 /// A dataset's `dataset.toml`, of which only the rig matters here.
 #[derive(Debug, Deserialize)]
 struct WithRig {
-    rig: Settings,
+    rig: Written,
 }
 
-pub(super) fn parse(text: &str, baseline_m: Option<f64>) -> Result<CalibrationParts> {
+fn parse(text: &str, baseline_m: Option<f64>) -> Result<CalibrationParts> {
     let invalid = |error: toml::de::Error| {
         Error::value(
             "TOML",
@@ -65,8 +108,8 @@ pub(super) fn parse(text: &str, baseline_m: Option<f64>) -> Result<CalibrationPa
     parts(settings, baseline_m)
 }
 
-fn parts(settings: Settings, baseline_m: Option<f64>) -> Result<CalibrationParts> {
-    let Settings { width, height, .. } = settings;
+fn parts(settings: Written, baseline_m: Option<f64>) -> Result<CalibrationParts> {
+    let Written { width, height, .. } = settings;
     let cameras = match (settings.hfov_deg, settings.left, settings.right) {
         (Some(hfov_deg), None, None) if hfov_deg > 0.0 && hfov_deg < 180.0 => {
             [plain(Camera::from_hfov(width, height, hfov_deg)); 2]
@@ -119,7 +162,7 @@ fn parts(settings: Settings, baseline_m: Option<f64>) -> Result<CalibrationParts
     })
 }
 
-impl Settings {
+impl Written {
     /// What is written of a calibration; None for one without a size.
     pub fn of(calibration: &StereoCalibration) -> Option<Self> {
         let [width, height] = calibration.size()?;

@@ -1,6 +1,6 @@
 //! Calibrations written as TOML.
 
-use super::settings::Settings;
+use super::settings::Written;
 use crate::error::{Error, Result};
 use crate::geometry::StereoCalibration;
 
@@ -10,7 +10,7 @@ use crate::geometry::StereoCalibration;
 /// # Errors
 /// [`Error::Value`] for a calibration that does not say the size of its images.
 pub fn to_toml(calibration: &StereoCalibration) -> Result<String> {
-    let settings = Settings::of(calibration).ok_or_else(|| {
+    let settings = Written::of(calibration).ok_or_else(|| {
         Error::value(
             "calibration",
             "does not say the size of its images",

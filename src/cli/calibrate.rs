@@ -155,17 +155,21 @@ impl CalibrateArgs {
         if let Some(folder) = &self.data {
             return of_dataset(StereoDataset::open(folder)?);
         }
-        let calibration = self.calibration.load()?.ok_or_else(|| {
+        let source = FrameSource::open(&self.inputs, self.layout)?;
+        let len = source.len();
+        let mut frames = source.read_ahead(2)?.peekable();
+        let first = frames.peek().and_then(|frame| frame.images.as_ref().ok());
+        let size = first.map(|[left, _]| left.dimensions());
+        let calibration = self.calibration.load(size)?.ok_or_else(|| {
             Error::value(
                 "--calib",
                 "no calibration is given, and there is nothing to check without one",
                 "give --calib FILE, or --data DIR for a dataset, whose rig is known",
             )
         })?;
-        let source = FrameSource::open(&self.inputs, self.layout)?;
         Ok(Pairs {
-            len: source.len(),
-            frames: Box::new(source.read_ahead(2)?),
+            len,
+            frames: Box::new(frames),
             calibration,
         })
     }

@@ -5,7 +5,8 @@ use image::{Rgb, RgbImage};
 
 use super::*;
 use crate::geometry::{
-    Camera, Distortion, Intrinsics, LensCamera, PixelBox, Rectification, RectifiedView,
+    CalibrationParts, Camera, Distortion, Intrinsics, LensCamera, PixelBox, Rectification,
+    RectifiedView,
 };
 use crate::pairing::PairingConfig;
 use crate::pairing::search::disparity_px;
