@@ -19,7 +19,7 @@ pub use merge::compose_convolutions;
 pub use network::{BLOCK_CHANNELS, RangingConfig, RangingFeatures, RangingNetwork};
 pub use other_rig::{RigNote, sizes_as_trained};
 pub use posterior::{Mode, Posterior};
-pub use ranger::{Body, Ranged, Ranger, RangerSettings, Target, TrustedRig};
+pub use ranger::{Body, PairDoubt, Ranged, Ranger, RangerSettings, Target, TrustedRig};
 pub use readout::Readout;
 pub use surface::surface_m;
 pub use witness::SizeWitness;

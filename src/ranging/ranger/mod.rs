@@ -7,6 +7,7 @@
 //! centre, and the rig's own disparities may be off: both are part of the likelihood.
 
 mod body;
+mod doubt;
 mod spline;
 mod stereo;
 
@@ -15,10 +16,14 @@ use rayon::prelude::*;
 
 pub use body::Body;
 use body::{SeenBox, Stance, with_unexplained};
+pub use doubt::PairDoubt;
 use stereo::{StereoEvidence, stereo_evidence};
 
 use super::{Posterior, SizeWitness};
-use crate::geometry::{PixelBox, StereoRig};
+use crate::geometry::{DisparityCorrection, PixelBox, StereoRig};
+
+/// Relative spread of the boxes of a strange pair: its vehicles may be anything.
+const STRANGE_BOX_STD: f64 = 0.3;
 
 /// Points of the grid that are even in the logarithm of the depth.
 const EVEN_POINTS: usize = 220;
@@ -135,9 +140,50 @@ pub struct Ranger {
 pub struct TrustedRig {
     /// The cameras.
     pub rig: StereoRig,
-    /// Standard deviation of what all disparities are off by, pixels: about 0.5 for cameras whose
-    /// calibration nobody checked, 0 for rendered images.
+    /// What disparities are too large by, where that was measured.
+    pub correction: Option<DisparityCorrection>,
+    /// Standard deviation of what all disparities of a frame are off by beside that, pixels.
     pub disparity_std_px: f64,
+}
+
+impl TrustedRig {
+    /// Standard deviation of the disparities of calibrated cameras that nobody checked, pixels: what
+    /// public driving data has.
+    pub const UNCHECKED_STD_PX: f64 = 0.5;
+
+    /// Cameras that are calibrated, without a check of how well.
+    pub const fn unchecked(rig: StereoRig) -> Self {
+        Self {
+            rig,
+            correction: None,
+            disparity_std_px: Self::UNCHECKED_STD_PX,
+        }
+    }
+
+    /// Rendered images, whose rig is exact.
+    pub const fn exact(rig: StereoRig) -> Self {
+        Self {
+            rig,
+            correction: None,
+            disparity_std_px: 0.0,
+        }
+    }
+
+    /// Cameras of which it was measured what their disparities are off by: `twinsight calibrate`.
+    pub fn corrected(rig: StereoRig, correction: DisparityCorrection) -> Self {
+        Self {
+            rig,
+            disparity_std_px: correction.std_px(),
+            correction: Some(correction),
+        }
+    }
+
+    /// What the disparity of a pixel of the left image is too large by, pixels.
+    fn delta_px(&self, pixel: [f64; 2]) -> f64 {
+        self.correction
+            .as_ref()
+            .map_or(0.0, |correction| correction.delta_px(pixel))
+    }
 }
 
 /// A target with all evidence for it.
@@ -145,14 +191,17 @@ struct Witnessed<'a> {
     target: &'a Target,
     seen: Option<SeenBox>,
     bodies: Vec<Body>,
+    witness: Option<SizeWitness>,
     stereo: Option<StereoEvidence>,
+    /// What its disparities are too large by, pixels.
+    delta_px: f64,
     support: f64,
 }
 
 impl Witnessed<'_> {
     /// Ways to stand, given the camera's pitches with their weights.
     fn stances(&self, pitches: &[(f64, f64)]) -> Vec<Stance> {
-        let (Some(seen), None) = (&self.seen, &self.target.witness) else {
+        let (Some(seen), None) = (&self.seen, &self.witness) else {
             return Vec::new();
         };
         let total: f64 = pitches.iter().map(|(_, weight)| weight).sum();
@@ -173,7 +222,7 @@ impl Witnessed<'_> {
             add(1.0, 0.0);
             return;
         };
-        let Some(witness) = &self.target.witness else {
+        let Some(witness) = &self.witness else {
             sized(stances, seen, z_m, add);
             return;
         };
@@ -289,38 +338,36 @@ impl Ranger {
         Self { settings }
     }
 
-    /// The posterior of every vehicle of a rectified pair, left image first, in their order. The rig
-    /// must be the one of images of this size.
+    /// The posterior of every vehicle of a rectified pair, left image first, in their order, and what
+    /// is strange about the pair. The rig must be the one of images of this size.
+    ///
+    /// Of a pair whose images are the same or exchanged the pixels are no evidence: what is left is a
+    /// wide statement of the sizes.
     pub fn posteriors(
         &self,
         images: [&RgbImage; 2],
         targets: &[Target],
         rig: &TrustedRig,
-    ) -> Vec<Ranged> {
+    ) -> (Vec<Ranged>, Option<PairDoubt>) {
+        let nearer: Vec<Vec<PixelBox>> = targets
+            .iter()
+            .map(|target| nearer(target, targets))
+            .collect();
+        let stereo: Vec<Option<StereoEvidence>> = targets
+            .par_iter()
+            .zip(&nearer)
+            .map(|(target, nearer)| stereo_evidence(images, &target.box_pixel, nearer, &rig.rig))
+            .collect();
+        let boxes: Vec<&PixelBox> = targets.iter().map(|target| &target.box_pixel).collect();
+        let doubt = PairDoubt::of(images, &boxes, &nearer, &stereo, &rig.rig);
         let witnessed: Vec<Witnessed> = targets
             .par_iter()
-            .map(|target| {
-                let nearer = nearer(target, targets);
-                let stereo = stereo_evidence(images, &target.box_pixel, &nearer, &rig.rig);
-                Witnessed {
-                    target,
-                    seen: SeenBox::new(
-                        &target.box_pixel,
-                        &rig.rig.left,
-                        [self.settings.box_std, self.settings.box_std_px],
-                    ),
-                    bodies: target
-                        .class
-                        .as_deref()
-                        .map_or_else(|| Body::TRAFFIC.to_vec(), Body::of_class),
-                    support: stereo.as_ref().map_or(0.0, |stereo| stereo.support),
-                    stereo: stereo.map(|stereo| stereo.blurred(self.settings.match_std_px)),
-                }
-            })
+            .zip(stereo)
+            .map(|(target, stereo)| self.witnessed(target, stereo, rig, doubt.is_some()))
             .collect();
         let pitches = self.pitches(&witnessed, &rig.rig);
         let offsets = Offsets::new(&witnessed, &pitches, rig);
-        witnessed
+        let ranged = witnessed
             .par_iter()
             .enumerate()
             .map(|(i, witnessed)| {
@@ -330,14 +377,63 @@ impl Ranger {
                     .map(|stereo| offsets.seen_by_others(i, stereo));
                 self.range(witnessed, stereo.as_ref(), &pitches, &rig.rig)
             })
-            .collect()
+            .collect();
+        (ranged, doubt)
+    }
+
+    /// The posterior of one vehicle that has the images for itself, see [`Ranger::posteriors`].
+    ///
+    /// # Panics
+    /// Never: there is one posterior for each target.
+    pub fn posterior(
+        &self,
+        images: [&RgbImage; 2],
+        target: &Target,
+        rig: &TrustedRig,
+    ) -> Posterior {
+        let (ranged, _) = self.posteriors(images, std::slice::from_ref(target), rig);
+        let [ranged] = <[Ranged; 1]>::try_from(ranged).unwrap_or_else(|_| unreachable!());
+        ranged.posterior
+    }
+
+    fn witnessed<'a>(
+        &self,
+        target: &'a Target,
+        stereo: Option<StereoEvidence>,
+        rig: &TrustedRig,
+        is_strange: bool,
+    ) -> Witnessed<'a> {
+        let widened = if is_strange { STRANGE_BOX_STD } else { 0.0 };
+        let noise = [
+            libm::hypot(self.settings.box_std, widened),
+            self.settings.box_std_px,
+        ];
+        let support = stereo.as_ref().map_or(0.0, |stereo| stereo.support);
+        let delta_px = rig.delta_px(target.box_pixel.center());
+        let usable = stereo.filter(|_| !is_strange);
+        Witnessed {
+            target,
+            seen: SeenBox::new(&target.box_pixel, &rig.rig.left, noise),
+            bodies: target
+                .class
+                .as_deref()
+                .map_or_else(|| Body::TRAFFIC.to_vec(), Body::of_class),
+            witness: target.witness.map(|witness| SizeWitness {
+                log_size_std: libm::hypot(witness.log_size_std, widened),
+                ..witness
+            }),
+            stereo: usable
+                .map(|stereo| stereo.moved(-delta_px).blurred(self.settings.match_std_px)),
+            delta_px,
+            support,
+        }
     }
 
     /// Pitches of the camera, radians, with their probabilities, given all vehicles.
     fn pitches(&self, witnessed: &[Witnessed], rig: &StereoRig) -> Vec<(f64, f64)> {
         let rulers: Vec<&Witnessed> = witnessed
             .iter()
-            .filter(|w| w.target.witness.is_none() && w.seen.is_some())
+            .filter(|w| w.witness.is_none() && w.seen.is_some())
             .collect();
         let tempering = shared(rulers.len());
         let log: Vec<f64> = PITCHES_DEG
@@ -378,6 +474,7 @@ impl Ranger {
         libm::log(sum / 96.0 + LEAST_FIT)
     }
 
+    /// The posterior of a vehicle, given its stereo evidence and the camera's pitches.
     fn range(
         &self,
         witnessed: &Witnessed,
@@ -419,7 +516,7 @@ impl Ranger {
         let i = distances.partition_point(|&distance| distance < median);
         let i = i.min(depths.len() - 1);
         let surface_m = (ray.depth_m(median) - extent[i]).max(0.3);
-        let disparity_px = rig.disparity_px(surface_m);
+        let disparity_px = rig.disparity_px(surface_m) + witnessed.delta_px;
         let stereo_m = stereo.and_then(|stereo| {
             let best_px = stereo.best_px();
             let z_m = rig.depth_m(best_px);

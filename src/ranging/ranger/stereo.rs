@@ -132,6 +132,14 @@ impl StereoEvidence {
         }
     }
 
+    /// The same with all disparities larger by this, pixels.
+    pub fn moved(self, by_px: f64) -> Self {
+        Self {
+            first_px: self.first_px + by_px,
+            ..self
+        }
+    }
+
     /// The step of its grid, pixels.
     pub fn step_px(&self) -> f64 {
         self.step_px
