@@ -1,8 +1,8 @@
 //! Calibration files of stereo cameras, and images rectified by them.
 //!
-//! [`load`] reads what people have: OpenCV's YAML, ROS' and Kalibr's, KITTI's text files, two lines
-//! with a camera matrix and a baseline, or a TOML file of ours. The content decides, not the name.
-//! What it says becomes a checked [`StereoCalibration`], and [`CalibratedRig`] makes of it the rig
+//! [`load`] reads what people have; [`known`] lists the formats, and `docs/formats.md` has an example of
+//! each. The content decides first and the name second. A new one is a type with the trait `Format` in
+//! a file of its own, and a line in the table. What it says becomes a checked [`StereoCalibration`], and [`CalibratedRig`] makes of it the rig
 //! that the pipeline needs, rectifying images where they are not:
 //!
 //! ```no_run
@@ -27,21 +27,39 @@
 //!
 //! Knows neither networks nor datasets.
 
+mod cityscapes;
+mod documents;
 mod entries;
+mod euroc;
+mod format;
+mod json;
+mod kalibr;
 pub(crate) mod kitti;
 mod lines;
+mod middlebury;
+mod named;
+mod oak;
 mod opencv;
+mod orb_slam;
+mod places;
+mod realsense;
+mod resolution;
 mod rig;
+mod ros;
 mod settings;
+mod writer;
+mod zed;
 
 use std::fs::File;
 use std::io::Read as _;
 use std::path::Path;
 
 use crate::error::{Error, Result};
-use crate::geometry::{CalibrationParts, StereoCalibration};
+use crate::geometry::StereoCalibration;
 
+pub use format::{KnownFormat, known};
 pub use rig::{CalibratedRig, ImageState, RigOptions};
+pub use writer::to_toml;
 
 /// The largest file that is read, bytes: calibrations have one or two thousand.
 const MOST_BYTES: u64 = 1 << 20;
@@ -57,6 +75,9 @@ pub struct LoadOptions {
     pub baseline_m: Option<f64>,
     /// Of KITTI's four cameras take the grey ones, 0 and 1, and not the colour ones, 2 and 3.
     pub kitti_grey: bool,
+    /// Size of the images, width and height in pixels: decides where a calibration has several
+    /// resolutions.
+    pub image_size: Option<[u32; 2]>,
 }
 
 /// Reads a calibration: one file, or two that belong together (OpenCV's `intrinsics.yml` and
@@ -77,23 +98,9 @@ pub fn load<P: AsRef<Path>>(paths: &[P], options: &LoadOptions) -> Result<Stereo
     for path in paths {
         texts.push(read(path.as_ref())?);
     }
-    let parts = match &texts[..] {
-        [text] => parse(text, options),
-        [one, other] => match (Format::of(one), Format::of(other)) {
-            (Format::Yaml, Format::Yaml) => opencv::parse(&[one, other]),
-            _ => Err(Error::value(
-                "two files",
-                "only YAML calibrations come in two",
-                "give intrinsics.yml and extrinsics.yml, left.yaml and right.yaml, or one file",
-            )),
-        },
-        _ => Err(Error::value(
-            format!("{} files", paths.len()),
-            "a calibration has one or two",
-            "give one or two files",
-        )),
-    };
-    parts
+    let names: Vec<&Path> = paths.iter().map(AsRef::as_ref).collect();
+    let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
+    format::parse(&texts, &names, options)
         .and_then(|parts| StereoCalibration::new(parts, options.baseline_m))
         .map_err(|error| of_file(first.as_ref(), error))
 }
@@ -103,7 +110,7 @@ pub fn load<P: AsRef<Path>>(paths: &[P], options: &LoadOptions) -> Result<Stereo
 /// # Errors
 /// [`Error::Value`] for what [`load`] refuses.
 pub fn from_text(text: &str, options: &LoadOptions) -> Result<StereoCalibration> {
-    StereoCalibration::new(parse(text, options)?, options.baseline_m)
+    StereoCalibration::new(format::parse(&[text], &[], options)?, options.baseline_m)
 }
 
 /// The error of a value, said of the file that holds it.
@@ -132,11 +139,14 @@ fn read(path: &Path) -> Result<String> {
             "give a calibration file, not an image or a video",
         ));
     }
-    let Ok(text) = String::from_utf8(bytes) else {
+    let Some(text) = text_of(bytes) else {
         return Err(Error::calibration(
             path,
             "is no text file",
-            "give a calibration file, not an image or a video",
+            format!(
+                "give a calibration file, not an image, a video or NumPy's arrays; {}",
+                format::known_list()
+            ),
         ));
     };
     Ok(match text.strip_prefix('\u{feff}') {
@@ -145,76 +155,17 @@ fn read(path: &Path) -> Result<String> {
     })
 }
 
-/// The kinds of file that are read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Format {
-    Empty,
-    Xml,
-    Kitti,
-    TwoLines,
-    Yaml,
-    Toml,
-    Unknown,
-}
-
-impl Format {
-    fn of(text: &str) -> Self {
-        let mut lines = text
-            .lines()
-            .map(str::trim)
-            .filter(|line| !line.is_empty() && !line.starts_with('#'));
-        let Some(first) = lines.clone().next() else {
-            return Self::Empty;
-        };
-        if first.starts_with('<') {
-            return Self::Xml;
-        }
-        if lines.clone().any(kitti::is_projection) {
-            return Self::Kitti;
-        }
-        let starts_with_number = first
-            .split([' ', ',', '\t', '['])
-            .find(|word| !word.is_empty())
-            .is_some_and(|word| word.parse::<f64>().is_ok());
-        if starts_with_number {
-            return Self::TwoLines;
-        }
-        if first.starts_with(['%', '{']) || first.starts_with("---") {
-            return Self::Yaml;
-        }
-        // The first line that says anything: `[table]`, `key = value` or `key: value`.
-        if first.starts_with('[') {
-            return Self::Toml;
-        }
-        lines
-            .find_map(|line| match line.find([':', '=']) {
-                Some(at) if line[at..].starts_with('=') => Some(Self::Toml),
-                Some(_) => Some(Self::Yaml),
-                None => None,
-            })
-            .unwrap_or(Self::Unknown)
-    }
-}
-
-fn parse(text: &str, options: &LoadOptions) -> Result<CalibrationParts> {
-    let known = "give OpenCV's YAML, KITTI's text, a camera matrix and a baseline in two lines, or \
-                 TOML; docs/calibration.md describes them";
-    match Format::of(text) {
-        Format::Kitti => kitti::parse(text, options.kitti_grey),
-        Format::TwoLines => lines::parse(text, options.baseline_m),
-        Format::Yaml => opencv::parse(&[text]),
-        Format::Toml => settings::parse(text, options.baseline_m),
-        Format::Empty => Err(Error::value("content", "the file is empty", known)),
-        Format::Xml => Err(Error::value(
-            "content",
-            "is XML",
-            "save it with OpenCV's FileStorage under a name that ends in .yml",
-        )),
-        Format::Unknown => Err(Error::value(
-            "content",
-            "is no calibration that is known",
-            known,
-        )),
+/// The text of a file: UTF-8, or UTF-16 as some editors of Windows write it.
+fn text_of(bytes: Vec<u8>) -> Option<String> {
+    let wide = |pairs: &[u8], read: fn([u8; 2]) -> u16| {
+        let (pairs, _) = pairs.as_chunks::<2>();
+        let units: Vec<u16> = pairs.iter().map(|pair| read(*pair)).collect();
+        String::from_utf16(&units).ok()
+    };
+    match &bytes[..] {
+        [0xFF, 0xFE, rest @ ..] => wide(rest, u16::from_le_bytes),
+        [0xFE, 0xFF, rest @ ..] => wide(rest, u16::from_be_bytes),
+        _ => String::from_utf8(bytes).ok(),
     }
 }
 

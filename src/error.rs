@@ -234,5 +234,18 @@ fn io_remedy(source: &std::io::Error) -> &'static str {
 pub(crate) fn yaml_problem(error: &serde_saphyr::Error) -> String {
     let text = error.to_string();
     let line = text.lines().next().unwrap_or_default();
-    line.strip_prefix("error: ").unwrap_or(line).to_owned()
+    let line = line.strip_prefix("error: ").unwrap_or(line);
+    // What a program could call instead is nothing that a person can do.
+    let line = line.split("; use from_").next().unwrap_or_default();
+    line.to_owned()
+}
+
+/// What the JSON parser says, without the names of this crate's types.
+pub(crate) fn json_problem(error: &serde_json::Error) -> String {
+    let text = error.to_string();
+    let Some((said, rest)) = text.split_once("expected struct ") else {
+        return text;
+    };
+    let place = rest.split_once(" at ").map_or("", |(_, place)| place);
+    format!("{said}expected a table of names and values at {place}")
 }

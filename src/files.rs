@@ -16,17 +16,46 @@ pub const TEMPORARY_PREFIX: &str = ".twinsight-";
 ///
 /// The bytes go to a temporary file in the same folder, which is then renamed: another process, or
 /// this one after a crash, never meets half a file. It does not wait for the disk, so a power cut
-/// within seconds may still lose the newest content.
+/// within seconds may still lose the newest content. A symbolic link stays, and the file that it leads
+/// to is written.
 ///
 /// # Errors
 /// [`Error::Io`] naming `path` when the folder is missing, read-only or full.
 pub fn write_atomically(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
     let path = path.as_ref();
-    let mut file = temporary_beside(path, "")?;
+    let place = followed(path)?;
+    let mut file = temporary_beside(&place, "")?;
     file.write_all(bytes).map_err(Error::io("write", path))?;
-    file.persist(path)
+    file.persist(&place)
         .map_err(|failure| Error::io("write", path)(failure.error))?;
     Ok(())
+}
+
+/// Links that lead to one another further than this lead nowhere, as Linux counts.
+const MOST_LINKS: usize = 40;
+
+/// Where a path leads: itself, or what a symbolic link stands for, there or not.
+///
+/// # Errors
+/// [`Error::Io`] naming links that lead to one another without end.
+pub fn followed(path: &Path) -> Result<PathBuf> {
+    let mut place = path.to_path_buf();
+    for _ in 0..=MOST_LINKS {
+        let Ok(target) = fs::read_link(&place) else {
+            return Ok(place);
+        };
+        // Relative to the folder of the link; an absolute one stands for itself.
+        place = place.parent().unwrap_or(Path::new("")).join(target);
+    }
+    let endless = std::io::Error::other("symbolic links lead to one another without end");
+    Err(Error::io("write", path)(endless))
+}
+
+/// Whether a file can be replaced as a whole: pipes and devices are written to as they are, and so is
+/// what a running program has open under a name of the system's.
+pub fn is_replaceable(path: &Path) -> bool {
+    let is_open = ["/dev", "/proc"].iter().any(|root| path.starts_with(root));
+    !is_open && fs::metadata(path).map_or(true, |metadata| metadata.is_file())
 }
 
 /// Waits until a folder's files are on the disk, so that a power cut no longer loses them.
@@ -73,6 +102,7 @@ pub(crate) fn temporary_beside(path: &Path, suffix: &str) -> Result<NamedTempFil
 /// is written to as it is. Dropped before it is finished, it leaves nothing behind.
 #[derive(Debug)]
 pub struct GrowingFile {
+    /// Where its content goes, links followed.
     path: PathBuf,
     target: Target,
 }
@@ -90,16 +120,15 @@ impl GrowingFile {
     /// [`Error::Io`] naming `path` when its folder is missing, read-only or full.
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let is_replaceable = fs::metadata(path).map_or(true, |metadata| metadata.is_file());
-        let target = if is_replaceable {
-            Target::Temporary(BufWriter::new(temporary_beside(path, "")?))
-        } else {
-            let device = fs::OpenOptions::new().write(true).open(path);
-            Target::Device(BufWriter::new(device.map_err(Error::io("write", path))?))
-        };
+        if is_replaceable(path) {
+            let path = followed(path)?;
+            let target = Target::Temporary(BufWriter::new(temporary_beside(&path, "")?));
+            return Ok(Self { path, target });
+        }
+        let device = fs::OpenOptions::new().write(true).open(path);
         Ok(Self {
             path: path.to_path_buf(),
-            target,
+            target: Target::Device(BufWriter::new(device.map_err(Error::io("write", path))?)),
         })
     }
 
@@ -242,6 +271,38 @@ mod tests {
         }
         assert_eq!(fs::read_to_string(&path).unwrap(), "one\ntwo\n");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_symbolic_link_stays_and_what_it_leads_to_is_written() {
+        use std::os::unix::fs::symlink;
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::create_dir(path("disk")).unwrap();
+        fs::write(path("disk/old.csv"), "old").unwrap();
+        symlink("disk/old.csv", path("relative.csv")).unwrap();
+        symlink(path("relative.csv"), path("chain.csv")).unwrap();
+        symlink("disk/new.csv", path("dangling.csv")).unwrap();
+        for (link, target) in [
+            ("relative.csv", "disk/old.csv"),
+            ("chain.csv", "disk/old.csv"),
+            ("dangling.csv", "disk/new.csv"),
+        ] {
+            write_atomically(path(link), link.as_bytes()).unwrap();
+            assert_eq!(fs::read_to_string(path(target)).unwrap(), link);
+            let mut file = GrowingFile::create(path(link)).unwrap();
+            file.write(b"grown").unwrap();
+            file.finish().unwrap();
+            assert_eq!(fs::read_to_string(path(target)).unwrap(), "grown");
+            assert!(fs::symlink_metadata(path(link)).unwrap().is_symlink());
+        }
+        // Nothing but the files is left, and endless links are an error.
+        assert_eq!(fs::read_dir(path("disk")).unwrap().count(), 2);
+        symlink("b", path("a")).unwrap();
+        symlink("a", path("b")).unwrap();
+        let message = write_atomically(path("a"), b"").unwrap_err().to_string();
+        assert!(message.contains("without end"), "{message}");
     }
 
     #[cfg(unix)]

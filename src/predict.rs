@@ -48,7 +48,7 @@ pub struct FrameRecord {
 
 /// What became of a frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "vehicles, or an error")]
 pub enum Outcome {
     /// It was measured.
     Measured {

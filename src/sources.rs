@@ -72,6 +72,7 @@ pub struct FrameSource {
     is_single: bool,
     rate_hz: Option<f64>,
     folders: Vec<PathBuf>,
+    skipped: Vec<PathBuf>,
 }
 
 impl std::fmt::Debug for FrameSource {
@@ -99,7 +100,9 @@ impl FrameSource {
         match (&inputs[..], layout) {
             ([left, right], None) => Self::of_two(left, right),
             ([both], Some(layout)) => Self::of_one(both, layout),
-            ([folder], None) if folder.is_dir() => Ok(Self::of_files(folder::both_sides(folder)?)),
+            ([folder], None) if folder.is_dir() => {
+                Ok(Self::of_folders(folder::both_sides(folder)?))
+            }
             ([alone], None) => {
                 check_exists(alone)?;
                 Err(Error::value(
@@ -128,7 +131,7 @@ impl FrameSource {
             return Ok(Self::of_files(sequence::pairs(inputs)?));
         }
         if inputs.iter().all(|input| input.is_dir()) {
-            return Ok(Self::of_files(folder::two(inputs)?));
+            return Ok(Self::of_folders(folder::two(inputs)?));
         }
         for (input, other) in [(left, right), (right, left)] {
             if input.is_dir() || (sequence::is_pattern(input) && !sequence::is_pattern(other)) {
@@ -162,7 +165,7 @@ impl FrameSource {
             return Ok(Self::of_files(sequence::stacked(both, layout)?));
         }
         if both.is_dir() {
-            return Ok(Self::of_files(folder::stacked(both, layout)?));
+            return Ok(Self::of_folders(folder::stacked(both, layout)?));
         }
         if video::is_video(both) {
             let frames = video::VideoFrames::stacked(both, layout)?;
@@ -175,6 +178,13 @@ impl FrameSource {
         })
     }
 
+    fn of_folders(found: folder::Found) -> Self {
+        Self {
+            skipped: found.skipped,
+            ..Self::of_files(found.entries)
+        }
+    }
+
     fn of_files(entries: Vec<files::Entry>) -> Self {
         let files = entries.iter().flat_map(files::Entry::files);
         let folders: BTreeSet<&Path> = files.filter_map(Path::parent).collect();
@@ -184,6 +194,7 @@ impl FrameSource {
             frames: Box::new(files::frames(entries)),
             is_single: false,
             rate_hz: None,
+            skipped: Vec::new(),
         }
     }
 
@@ -193,6 +204,7 @@ impl FrameSource {
             rate_hz: frames.rate_hz(),
             is_single: false,
             folders: Vec::new(),
+            skipped: Vec::new(),
             frames: Box::new(frames),
         }
     }
@@ -215,6 +227,12 @@ impl FrameSource {
     /// The folders that images are read from; the empty path is the current one.
     pub fn folders(&self) -> &[PathBuf] {
         &self.folders
+    }
+
+    /// Files in those folders that may have been meant as images but are none that can be read:
+    /// pictures of other kinds, not texts.
+    pub fn skipped(&self) -> &[PathBuf] {
+        &self.skipped
     }
 
     /// Frames a second, of videos.

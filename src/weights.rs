@@ -144,7 +144,7 @@ impl StateDict {
     /// Reads a file; half-precision tensors are widened, integers left out.
     ///
     /// # Errors
-    /// A file that is missing, truncated or not safetensors.
+    /// A file that is missing, truncated or not safetensors, or holds numbers that are not finite.
     pub fn load(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
         let broken = |source: safetensors::SafeTensorError| {
@@ -172,6 +172,14 @@ impl StateDict {
                 }),
                 _ => continue,
             };
+            if let Some(value) = values.iter().find(|value| !value.is_finite()) {
+                return Err(Error::weights(
+                    path,
+                    format!("holds numbers that are not finite, such as {value} in tensor {name}"),
+                    "the training that wrote it went astray: give weights of an earlier epoch, or \
+                     train again with a lower learning rate",
+                ));
+            }
             tensors.insert(name.to_owned(), (view.shape().to_vec(), values));
         }
         let metadata = metadata
@@ -185,6 +193,32 @@ impl StateDict {
             tensors,
             metadata,
         })
+    }
+
+    /// Takes off what programs put before the names of a network that they hold as a part: `model.`,
+    /// `module.`, `ema.` and several of them. `known` is the name of a tensor that the network must
+    /// have; where it is there under its own name, nothing changes. Of a file with several networks
+    /// the averaged one (`ema.`) is taken, the others are dropped.
+    #[must_use]
+    pub fn without_prefix(mut self, known: &str) -> Self {
+        if self.tensors.contains_key(known) {
+            return self;
+        }
+        let prefixes = self.tensors.keys().filter_map(|name| {
+            let prefix = name.strip_suffix(known)?;
+            prefix.ends_with('.').then(|| prefix.to_owned())
+        });
+        // False before true: an averaged one first, then the shortest.
+        let best = prefixes.min_by_key(|prefix| (!prefix.contains("ema"), prefix.len()));
+        let Some(prefix) = best else {
+            return self;
+        };
+        let tensors = std::mem::take(&mut self.tensors);
+        self.tensors = tensors
+            .into_iter()
+            .filter_map(|(name, tensor)| Some((name.strip_prefix(&prefix)?.to_owned(), tensor)))
+            .collect();
+        self
     }
 
     /// Puts the tensors into a module of the same structure.
@@ -285,5 +319,65 @@ impl ModuleMapper for Apply<'_> {
 
     fn exit_module(&mut self, _: &str, _: &str) {
         self.path.pop();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dict(names: &[&str]) -> StateDict {
+        let tensor = |name: &&str| ((*name).to_owned(), (vec![1], vec![0.5]));
+        StateDict {
+            tensors: names.iter().map(tensor).collect(),
+            ..StateDict::default()
+        }
+    }
+
+    #[test]
+    fn what_programs_put_before_all_names_is_taken_off() {
+        let known = "model.23.out.weight";
+        let plain = ["model.0.conv.weight", known];
+        for prefix in [
+            "",
+            "model.",
+            "module.",
+            "ema.",
+            "module.model.",
+            "state_dict.ema.",
+        ] {
+            let names = plain.map(|name| format!("{prefix}{name}"));
+            let names: Vec<&str> = names.iter().map(String::as_str).collect();
+            let found = dict(&names).without_prefix(known);
+            assert_eq!(found, dict(&plain), "{prefix}");
+        }
+        let both = [
+            "model.model.0.conv.weight",
+            "model.model.23.out.weight",
+            "ema.model.0.conv.weight",
+            "ema.model.23.out.weight",
+            "epoch",
+        ];
+        assert_eq!(dict(&both).without_prefix(known), dict(&plain));
+        // Another network stays as it is, and is refused by its own names.
+        for names in [&["backbone.0.weight"][..], &["xmodel.23.out.weight"], &[]] {
+            assert_eq!(dict(names).without_prefix(known), dict(names));
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_refused_by_the_name_of_their_tensor() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("best.safetensors");
+        for value in [f32::NAN, f32::INFINITY] {
+            let mut weights = dict(&["model.0.conv.weight"]);
+            let tensor = (vec![2], vec![0.5, value]);
+            weights.tensors.insert("model.1.bias".to_owned(), tensor);
+            weights.save(&path).unwrap();
+            let message = StateDict::load(&path).unwrap_err().to_string();
+            for words in ["best.safetensors", "model.1.bias", "not finite"] {
+                assert!(message.contains(words), "{message}");
+            }
+        }
     }
 }

@@ -1,10 +1,18 @@
-//! KITTI's calibration files: those of the object and odometry sets (`P0` to `P3`) and the raw
-//! recordings' `calib_cam_to_cam.txt`.
+//! KITTI's calibration files and those of datasets that write alike.
+//!
+//! ```text
+//! P2: 721.5 0 609.6 44.9 0 721.5 172.9 0.2 0 0 1 0.003     objects, odometry, tracks: P0 to P3
+//! P_rect_02: ...                                            raw recordings' calib_cam_to_cam.txt,
+//!                                                           with S K D R T S_rect R_rect
+//! P_rect_00: ... P_rect_01: ...                             KITTI-360's perspective.txt
+//! P_rect_101: ... P_rect_103: ...                           DrivingStereo
+//! ```
 
 use glam::{DMat3, DVec3};
 
-use super::HALF_PIXEL;
 use super::entries::{Matrix, number};
+use super::format::Format;
+use super::{HALF_PIXEL, LoadOptions};
 use crate::error::{Error, Result};
 use crate::geometry::{CalibrationParts, Distortion, GivenRectification, Intrinsics, LensCamera};
 
@@ -14,22 +22,65 @@ const ASKEW_M: f64 = 0.02;
 
 const REMEDY: &str = "copy the file again from KITTI";
 
+/// Pairs of cameras by the ends of their names, the colour pair before the grey one. `DrivingStereo`
+/// has cameras 101 and 103.
+const PAIRS: [[&str; 2]; 3] = [["02", "03"], ["00", "01"], ["101", "103"]];
+
+/// KITTI's files.
+pub(super) struct Kitti;
+
+impl Format for Kitti {
+    fn name(&self) -> &'static str {
+        "KITTI, KITTI-360 and DrivingStereo"
+    }
+
+    fn sign(&self) -> &'static str {
+        "text with P2: and P3:, or P_rect_02: and P_rect_03:"
+    }
+
+    fn matches(&self, text: &str) -> bool {
+        text.lines().map(str::trim).any(is_projection)
+    }
+
+    fn parse(&self, texts: &[&str], options: &LoadOptions) -> Result<CalibrationParts> {
+        parse(
+            texts.first().copied().unwrap_or_default(),
+            options.kitti_grey,
+        )
+    }
+}
+
 /// Whether a line is one of KITTI's projections, which no other format has.
-pub(super) fn is_projection(line: &str) -> bool {
+fn is_projection(line: &str) -> bool {
     let Some((name, numbers)) = line.split_once(':') else {
         return false;
     };
-    let name = name.strip_prefix("P_rect_0").or(name.strip_prefix('P'));
-    let is_camera = name.is_some_and(|number| ["0", "1", "2", "3"].contains(&number));
+    let is_camera = PAIRS.as_flattened().iter().any(|camera| {
+        let short = camera.strip_prefix('0');
+        name.strip_prefix("P_rect_") == Some(camera)
+            || short.is_some_and(|short| name.strip_prefix('P') == Some(short))
+    });
     // In YAML an entry of that name is a matrix over several lines.
     is_camera && numbers.split_whitespace().count() >= 3 && !numbers.contains(['[', '{', '!'])
 }
 
-/// Reads the colour pair's calibration, or the grey one's.
-pub(super) fn parse(text: &str, is_grey: bool) -> Result<CalibrationParts> {
-    let cameras = if is_grey { [0, 1] } else { [2, 3] };
-    if numbers(text, &format!("P_rect_0{}", cameras[0]))?.is_some() {
-        return raw(text, cameras);
+/// Reads the colour pair's calibration, or the grey one's; the only pair where there is but one.
+fn parse(text: &str, is_grey: bool) -> Result<CalibrationParts> {
+    let has = |name: &str| Ok::<_, Error>(numbers(text, name)?.is_some());
+    let has_pair = |[left, right]: [&str; 2], base: &str| {
+        Ok::<_, Error>(has(&format!("{base}{left}"))? || has(&format!("{base}{right}"))?)
+    };
+    let wanted = usize::from(is_grey);
+    let order = [PAIRS[wanted], PAIRS[1 - wanted], PAIRS[2]];
+    for cameras in order {
+        if has_pair(cameras, "P_rect_")? {
+            return raw(text, cameras);
+        }
+    }
+    let short = |cameras: [&'static str; 2]| cameras.map(|camera| &camera[1..]);
+    let mut cameras = short(order[0]);
+    if !has_pair(cameras, "P")? {
+        cameras = short(order[1]);
     }
     let pair = rectified_pair(text, &cameras.map(|camera| format!("P{camera}")))?;
     // Tenths of a millimetre up or ahead are the rounding of a rectification.
@@ -78,10 +129,12 @@ pub(crate) fn rectified_pair(text: &str, names: &[String; 2]) -> Result<Pair> {
 }
 
 /// `calib_cam_to_cam.txt`: both the unrectified cameras and what they become.
-fn raw(text: &str, cameras: [u8; 2]) -> Result<CalibrationParts> {
-    let pair = rectified_pair(text, &cameras.map(|camera| format!("P_rect_0{camera}")))?;
+fn raw(text: &str, cameras: [&str; 2]) -> Result<CalibrationParts> {
+    let pair = rectified_pair(text, &cameras.map(|camera| format!("P_rect_{camera}")))?;
     let rectified_size = size(text, "S_rect", cameras)?;
-    if numbers(text, &format!("K_0{}", cameras[0]))?.is_none() {
+    let has_lenses = numbers(text, &format!("K_{}", cameras[0]))?.is_some();
+    // DrivingStereo has no unrectified images.
+    if !has_lenses || cameras == PAIRS[2] {
         let baseline_m = pair.baseline_m();
         return Ok(CalibrationParts::rectified(
             rectified_size,
@@ -93,7 +146,7 @@ fn raw(text: &str, cameras: [u8; 2]) -> Result<CalibrationParts> {
     let mut poses = Vec::new();
     let mut rotations = Vec::new();
     for camera in cameras {
-        let named = |base: &str| format!("{base}_0{camera}");
+        let named = |base: &str| format!("{base}_{camera}");
         let [k, d, r, t, r_rect] = ["K", "D", "R", "T", "R_rect"].map(named);
         let coefficients = numbers(text, &d)?.unwrap_or_default();
         lenses.push(LensCamera {
@@ -119,14 +172,15 @@ fn raw(text: &str, cameras: [u8; 2]) -> Result<CalibrationParts> {
             intrinsics: pair.intrinsics,
             baseline_m: pair.baseline_m(),
         }),
+        disparity_correction: None,
     })
 }
 
 /// The size of both cameras' images.
-fn size(text: &str, base: &str, cameras: [u8; 2]) -> Result<Option<[u32; 2]>> {
+fn size(text: &str, base: &str, cameras: [&str; 2]) -> Result<Option<[u32; 2]>> {
     let mut sizes = Vec::new();
     for camera in cameras {
-        let name = format!("{base}_0{camera}");
+        let name = format!("{base}_{camera}");
         match numbers(text, &name)?.as_deref() {
             None => {}
             Some(&[width, height]) if width >= 1.0 && height >= 1.0 => {
@@ -137,7 +191,7 @@ fn size(text: &str, base: &str, cameras: [u8; 2]) -> Result<Option<[u32; 2]>> {
     }
     match sizes[..] {
         [left, right] if left != right => Err(Error::value(
-            format!("{base}_0{} and {base}_0{}", cameras[0], cameras[1]),
+            format!("{base}_{} and {base}_{}", cameras[0], cameras[1]),
             "are of different sizes",
             REMEDY,
         )),

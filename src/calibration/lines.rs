@@ -1,17 +1,53 @@
 //! A camera matrix and a baseline in two lines, for rectified images.
 //!
+//! ```text
+//! 754.6 0.0 489.3 0.0 754.6 265.8 0.0 0.0 1.0
+//! 0.063
+//! ```
+//!
 //! Line 1: nine numbers, the matrix row by row, pixels; line 2: the distance between the cameras,
 //! metres. As people give it to `FoundationStereo` and others. Both cameras are the same.
 
-use super::HALF_PIXEL;
 use super::entries::{Matrix, number};
+use super::format::Format;
+use super::{HALF_PIXEL, LoadOptions};
 use crate::error::{Error, Result};
 use crate::geometry::CalibrationParts;
 
 const REMEDY: &str = "write two lines: the nine numbers of the camera matrix row by row, and the \
                       distance between the cameras in metres";
 
-pub(super) fn parse(text: &str, baseline_m: Option<f64>) -> Result<CalibrationParts> {
+/// Two lines.
+pub(super) struct TwoLines;
+
+impl Format for TwoLines {
+    fn name(&self) -> &'static str {
+        "two lines"
+    }
+
+    fn sign(&self) -> &'static str {
+        "nine numbers of the camera matrix and the baseline"
+    }
+
+    fn matches(&self, text: &str) -> bool {
+        let first = text
+            .lines()
+            .map(str::trim)
+            .find(|line| !line.is_empty() && !line.starts_with('#'));
+        let word = first.and_then(|line| {
+            line.split([' ', ',', '\t', '['])
+                .find(|word| !word.is_empty())
+        });
+        word.is_some_and(|word| word.parse::<f64>().is_ok())
+    }
+
+    fn parse(&self, texts: &[&str], options: &LoadOptions) -> Result<CalibrationParts> {
+        let text = texts.first().copied().unwrap_or_default();
+        parse(text, options.baseline_m)
+    }
+}
+
+fn parse(text: &str, baseline_m: Option<f64>) -> Result<CalibrationParts> {
     let lines: Vec<(usize, Vec<f64>)> = (1..)
         .zip(text.lines())
         .map(|(line_number, line)| (line_number, line.split('#').next().unwrap_or_default()))

@@ -3,6 +3,7 @@
 mod files;
 mod hostile;
 mod images;
+mod kinds;
 
 use super::*;
 

@@ -12,11 +12,12 @@ use super::{stderr, values};
 
 /// Which cameras took the images.
 #[derive(Debug, Args)]
-#[command(next_help_heading = "Other cameras than the trained ones")]
+#[command(next_help_heading = "The cameras that took the images")]
 pub struct CalibrationArgs {
-    /// Calibration of the cameras that took the images: OpenCV's stereo YAML (given twice where it is
-    /// in two files), KITTI's calib text, a camera matrix and a baseline in two lines, or TOML. Images
-    /// that are not rectified are rectified by it; boxes are then those of the rectified images
+    /// Calibration of the cameras that took the images (given twice where it is in two files): OpenCV's
+    /// stereo YAML, ROS, Kalibr, KITTI, ZED, OAK-D, RealSense, EuRoC, ORB_SLAM, Middlebury, Cityscapes,
+    /// a camera matrix and a baseline in two lines, or TOML; docs/formats.md has an example of each.
+    /// Images that are not rectified are rectified by it; boxes are then those of the rectified images
     #[arg(long, value_name = "FILE")]
     calib: Vec<PathBuf>,
     /// Distance between the cameras, in place of the calibration's, which may be in other units
@@ -40,29 +41,35 @@ impl CalibrationArgs {
         &self.calib
     }
 
-    /// Reads the calibration, if one is given.
-    pub fn load(&self) -> Result<Option<StereoCalibration>> {
+    /// Reads the calibration, if one is given; of several resolutions that of images of this size.
+    pub fn load(&self, size: Option<(u32, u32)>) -> Result<Option<StereoCalibration>> {
         if self.calib.is_empty() {
             return Ok(None);
         }
         let options = LoadOptions {
             baseline_m: self.calib_baseline,
             kitti_grey: self.calib_grey,
+            image_size: size.map(Into::into),
         };
         load(&self.calib, &options).map(Some)
     }
 
-    /// The calibration ready for images of this size.
-    pub fn rig(&self, calibration: &StereoCalibration, size: (u32, u32)) -> Result<CalibratedRig> {
-        let options = RigOptions {
+    /// How the calibration is used.
+    pub fn options(&self) -> RigOptions {
+        RigOptions {
             images: if self.calib_rectified {
                 ImageState::Rectified
             } else {
                 ImageState::Auto
             },
             alpha: self.calib_alpha.map(f64::from),
-        };
-        CalibratedRig::new(calibration, size.into(), options).map_err(|error| self.of_file(error))
+        }
+    }
+
+    /// The calibration ready for images of this size.
+    pub fn rig(&self, calibration: &StereoCalibration, size: (u32, u32)) -> Result<CalibratedRig> {
+        CalibratedRig::new(calibration, size.into(), self.options())
+            .map_err(|error| self.of_file(error))
     }
 
     /// The error of a value, said of the file that it comes from.

@@ -35,6 +35,14 @@ impl Kind {
         name: "a picture",
         endings: &["png", "jpg", "jpeg"],
     };
+    pub const DRAWING: Self = Self {
+        name: "an SVG picture",
+        endings: &["svg"],
+    };
+    pub const CALIBRATION: Self = Self {
+        name: "a calibration",
+        endings: &["toml"],
+    };
     pub const VIDEO: Self = Self {
         name: "a video",
         endings: &["mp4", "mkv", "mov", "webm", "avi"],
@@ -70,7 +78,10 @@ pub fn check_target(path: &Path, kind: Kind, inputs: &[PathBuf]) -> Result<()> {
                 "give the name of another file",
             );
         }
-        if path.extension().is_some() && !kind.ends(path) {
+        // A link stays, and what it leads to is replaced: neither may be something else.
+        let place = files::followed(path)?;
+        let is_other = |path: &Path| path.extension().is_some() && !kind.ends(path);
+        if is_other(path) || is_other(&place) {
             return refuse(
                 format!("exists, and by its name it is not {name}, which would replace it"),
                 &format!(
@@ -154,8 +165,7 @@ pub fn of_run(run: &Path) -> impl Iterator<Item = PathBuf> {
 /// # Errors
 /// A file that cannot be written.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    let replaceable = fs::metadata(path).map_or(true, |metadata| metadata.is_file());
-    if replaceable {
+    if files::is_replaceable(path) {
         return files::write_atomically(path, bytes);
     }
     fs::write(path, bytes).map_err(Error::io("write", path))
@@ -164,6 +174,27 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_is_neither_a_way_to_replace_an_input_nor_a_file_of_another_kind() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        for name in ["in.csv", "best.safetensors", "old.csv"] {
+            fs::write(path(name), "").unwrap();
+            std::os::unix::fs::symlink(name, path(&format!("to-{name}.csv"))).unwrap();
+        }
+        let check = |name: &str| check_target(&path(name), Kind::CSV, &[path("in.csv")]);
+        assert!(
+            check("to-in.csv.csv")
+                .unwrap_err()
+                .to_string()
+                .contains("is read")
+        );
+        let message = check("to-best.safetensors.csv").unwrap_err().to_string();
+        assert!(message.contains("not a table"), "{message}");
+        check("to-old.csv.csv").unwrap();
+    }
 
     #[test]
     fn a_file_replaces_an_earlier_one_of_its_kind_and_nothing_else() {

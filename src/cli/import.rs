@@ -2,15 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use twinsight::Result;
 use twinsight::dataset::Problem;
-use twinsight::formats::kitti::KittiOptions;
-use twinsight::formats::vkitti2::Vkitti2Options;
 use twinsight::formats::{
-    ClassMap, HeapOptions, ImportReport, ImportTarget, SplitSettings, coco, kitti, vkitti2, yolo,
+    ClassMap, ImportOptions, ImportReport, ImportTarget, SplitSettings, import,
 };
 
 use super::values::{ImageSize, share};
@@ -21,8 +19,8 @@ const NAMED: usize = 12;
 
 /// Turn a dataset of another format into one that can be trained on
 ///
-/// Images are copied as they are (PNG or JPEG) unless they have to be brought to the size of the
-/// others. Everything that had to be left out is named with its reason; `sources.csv` in the new
+/// Images are copied as they are (PNG or JPEG; others become PNG) unless they have to be turned as
+/// their files say or brought to the size of the others. Everything that had to be left out is named with its reason; `sources.csv` in the new
 /// dataset says which frame came from which file.
 #[derive(Debug, Args)]
 #[command(after_long_help = EXAMPLES)]
@@ -48,6 +46,7 @@ enum Format {
     Vkitti2(Vkitti2Args),
     Yolo(YoloArgs),
     Coco(CocoArgs),
+    Auto(AutoArgs),
 }
 
 /// What all formats have in common.
@@ -87,7 +86,10 @@ impl Common {
     }
 }
 
-/// KITTI's object detection folder: stereo pairs, boxes in the image and in space
+/// KITTI's folder of objects or of tracks: stereo pairs, boxes in the image and in space
+///
+/// Sequences of the tracking set stay apart in the splits. Where there are no right images, no
+/// calibrations or no places in space, the left images become single ones, for a detector.
 ///
 /// Car, Van and Truck become the class `car` unless `--classes` says otherwise. Distances run from
 /// the middle between the cameras to the centre of the box in space. Right boxes are those of
@@ -107,6 +109,9 @@ struct KittiArgs {
     /// Ignore vehicles of which a larger part lies outside the image
     #[arg(long, value_name = "PART", default_value_t = 0.5, value_parser = share::<f32>)]
     max_truncated: f32,
+    /// Size of all images where they become single ones, pixels [default: as large as the largest]
+    #[arg(long, value_name = "WIDTHxHEIGHT")]
+    size: Option<ImageSize>,
     #[command(flatten)]
     common: Common,
 }
@@ -148,17 +153,25 @@ struct Heap {
 }
 
 impl Heap {
-    fn options(&self) -> HeapOptions {
-        HeapOptions {
+    fn options(&self) -> ImportOptions {
+        ImportOptions {
             single: self.single,
             baseline_m: self.baseline_m,
             hfov_deg: self.hfov_deg,
-            canvas: self.size.map(|size| [size.width, size.height]),
+            canvas: canvas(self.size),
+            ..ImportOptions::default()
         }
     }
 }
 
+fn canvas(size: Option<ImageSize>) -> Option<[u32; 2]> {
+    size.map(|size| [size.width, size.height])
+}
+
 /// YOLO's text files with a data.yaml, optionally with the distance as a sixth number
+///
+/// Of key points (`kpt_shape`) the box is taken, of polygons the box around them. A sixth number is a
+/// detector's confidence unless it is said to be a distance.
 ///
 /// Images called `left_NAME` and `right_NAME`, or in folders `left` and `right`, become stereo
 /// pairs. All others become single images, on which a detector can be trained.
@@ -167,9 +180,22 @@ struct YoloArgs {
     /// `data.yaml` or the folder that holds it
     source: PathBuf,
     #[command(flatten)]
+    lines: Lines,
+    #[command(flatten)]
     heap: Heap,
     #[command(flatten)]
     common: Common,
+}
+
+/// What the lines of YOLO's labels mean.
+#[derive(Debug, Args)]
+struct Lines {
+    /// A number behind the box is its distance in metres
+    #[arg(long)]
+    distance_column: bool,
+    /// Folders without any label file are meant: nothing is to be found in their images
+    #[arg(long)]
+    background: bool,
 }
 
 /// COCO's instance annotations
@@ -178,7 +204,8 @@ struct YoloArgs {
 /// pairs. All others become single images, on which a detector can be trained. Crowds are ignored.
 #[derive(Debug, Args)]
 struct CocoArgs {
-    /// A JSON file, or a folder with JSON files in it or in its folder `annotations`
+    /// A JSON file, or a folder with JSON files in it, in its folder `annotations` or in a folder for
+    /// each split, as Roboflow writes them
     source: PathBuf,
     /// Folder of the images, where it is not beside the annotations
     #[arg(long, value_name = "DIR")]
@@ -189,47 +216,80 @@ struct CocoArgs {
     common: Common,
 }
 
-impl ImportArgs {
-    /// Imports a dataset.
-    pub fn run(&self, quiet: bool) -> Result<()> {
-        let (report, out) = terminal::with_progress(quiet, |progress| match &self.format {
-            Format::Kitti(args) => {
-                let options = KittiOptions {
-                    source: args.source.clone(),
+/// Any of these formats, as its files say
+///
+/// With the usual settings of that format; the commands for each have more.
+#[derive(Debug, Args)]
+struct AutoArgs {
+    /// The folder or file of the dataset
+    source: PathBuf,
+    #[command(flatten)]
+    lines: Lines,
+    #[command(flatten)]
+    heap: Heap,
+    #[command(flatten)]
+    common: Common,
+}
+
+impl Format {
+    /// The format's word, its source, and what is said beside it.
+    fn parts(&self) -> (&'static str, &Path, ImportOptions, &Common) {
+        let with_lines = |lines: &Lines, options| ImportOptions {
+            distance_column: lines.distance_column,
+            background: lines.background,
+            ..options
+        };
+        match self {
+            Self::Kitti(args) => {
+                let options = ImportOptions {
                     rig: args.rig,
                     most_occluded: args.max_occluded,
                     most_truncated: f64::from(args.max_truncated),
+                    canvas: canvas(args.size),
+                    ..ImportOptions::default()
                 };
-                let report = kitti::import(&options, &args.common.target(), progress)?;
-                Ok((report, &args.common.out))
+                ("kitti", &args.source, options, &args.common)
             }
-            Format::Vkitti2(args) => {
-                let options = Vkitti2Options {
-                    source: args.source.clone(),
+            Self::Vkitti2(args) => {
+                let options = ImportOptions {
                     variants: args.variants.clone(),
                     least_visible: f64::from(args.min_visible),
+                    ..ImportOptions::default()
                 };
-                let report = vkitti2::import(&options, &args.common.target(), progress)?;
-                Ok((report, &args.common.out))
+                ("vkitti2", &args.source, options, &args.common)
             }
-            Format::Yolo(args) => {
-                let (options, target) = (args.heap.options(), args.common.target());
-                let report = yolo::import(&args.source, &options, &target, progress)?;
-                Ok((report, &args.common.out))
+            Self::Yolo(args) => {
+                let options = with_lines(&args.lines, args.heap.options());
+                ("yolo", &args.source, options, &args.common)
             }
-            Format::Coco(args) => {
-                let (options, target) = (args.heap.options(), args.common.target());
-                let images = args.images.as_deref();
-                let report = coco::import(&args.source, images, &options, &target, progress)?;
-                Ok((report, &args.common.out))
+            Self::Coco(args) => {
+                let options = ImportOptions {
+                    images: args.images.clone(),
+                    ..args.heap.options()
+                };
+                ("coco", &args.source, options, &args.common)
             }
+            Self::Auto(args) => {
+                let options = with_lines(&args.lines, args.heap.options());
+                ("auto", &args.source, options, &args.common)
+            }
+        }
+    }
+}
+
+impl ImportArgs {
+    /// Imports a dataset.
+    pub fn run(&self, quiet: bool) -> Result<()> {
+        let (format, source, options, common) = self.format.parts();
+        let report = terminal::with_progress(quiet, |progress| {
+            import(format, source, &options, &common.target(), progress)
         })?;
         if !quiet {
             for line in left_out(&report.left_out) {
                 stderr::line(&line);
             }
         }
-        let out = out.display();
+        let out = common.out.display();
         stdout::print(&format!("dataset {out}: {}\n", summary(&report)))
     }
 }
@@ -247,6 +307,9 @@ fn summary(report: &ImportReport) -> String {
     // Writing to a String cannot fail.
     if report.ignored > 0 {
         write!(text, ", {} of them ignored", report.ignored).ok();
+    }
+    if report.unlabelled > 0 {
+        write!(text, ", {} images without a label file", report.unlabelled).ok();
     }
     if report.with_distance < report.vehicles {
         write!(text, ", {} with a distance", report.with_distance).ok();

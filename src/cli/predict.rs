@@ -38,7 +38,7 @@ pub struct PredictArgs {
     /// Folder of a finished training run
     #[arg(long, value_name = "DIR")]
     run: PathBuf,
-    /// Left and right: two images (PNG or JPEG), two folders, two patterns of numbered images
+    /// Left and right: two images (PNG, JPEG, BMP, WebP or TIFF), two folders, two patterns of numbered images
     /// (`left_%05d.png`) or two videos. Or one folder of both sides: with folders `left` and `right` or
     /// `image_2` and `image_3`, or names like `left_1` and `right_1`, `1_left` and `1_right`, `1_L`
     /// and `1_R`. Or, with --layout, one image, folder, pattern or video
@@ -168,6 +168,9 @@ impl PredictArgs {
         outputs.check_names()?;
         let source = FrameSource::open(&self.inputs, self.layout)?;
         outputs.check_targets(source.is_single(), &self.files(), source.folders())?;
+        if !quiet {
+            say(skipped_note(source.skipped()));
+        }
         if source.is_single() {
             return self.run_one(source, load, &outputs, quiet);
         }
@@ -231,8 +234,8 @@ impl PredictArgs {
         let Some(frame) = source.read_ahead(1)?.next() else {
             return Ok(());
         };
-        let calibration = self.calibration.load()?;
         let mut images = frame.images?;
+        let calibration = self.calibration.load(Some(images[0].dimensions()))?;
         let pair = images.each_ref();
         let (ranger, calibrated) = self.on_rig(load, calibration.as_ref(), pair, quiet)?;
         if let Some(calibrated) = &calibrated {
@@ -260,7 +263,6 @@ impl PredictArgs {
     ) -> Result<()> {
         let batch = usize::from(self.batch);
         let (len, rate_hz) = (source.len(), source.rate_hz());
-        let calibration = self.calibration.load()?;
         let mut frames = source.read_ahead(2 * batch)?;
         // The first usable frame tells the size of all, and with it the rig.
         let mut first: Vec<StereoFrame> = Vec::new();
@@ -270,6 +272,10 @@ impl PredictArgs {
             first.push(frame);
         }
         let usable = first.last().and_then(|frame| frame.images.as_ref().ok());
+        let calibration = match usable {
+            Some([left, _]) => self.calibration.load(Some(left.dimensions()))?,
+            None => None,
+        };
         let (ranger, calibrated) = match usable {
             Some(images) => self.on_rig(load, calibration.as_ref(), images.each_ref(), quiet)?,
             None => (load()?, None),
@@ -303,6 +309,24 @@ impl PredictArgs {
         }
         report::verdict(&summary, self.strict)
     }
+}
+
+/// What is said of files that are no images that can be read.
+fn skipped_note(skipped: &[PathBuf]) -> Option<String> {
+    const NAMED: usize = 5;
+    if skipped.is_empty() {
+        return None;
+    }
+    let shown = skipped.iter().take(NAMED);
+    let mut names: Vec<String> = shown.map(|path| path.display().to_string()).collect();
+    if skipped.len() > NAMED {
+        names.push(format!("and {} more", skipped.len() - NAMED));
+    }
+    Some(format!(
+        "left out {} files that are not PNG, JPEG, BMP, WebP or TIFF images: {}",
+        skipped.len(),
+        names.join(", ")
+    ))
 }
 
 /// A frame as the calibrated cameras would have taken it; the time that takes counts as reading.

@@ -184,7 +184,11 @@ impl TrainArgs {
     pub fn run(&self, quiet: bool) -> Result<()> {
         let run = self.run_folder();
         let saved = if self.resume {
-            SavedRun::read(&run)?
+            let saved = SavedRun::read(&run)?;
+            if saved.is_none() && !is_hardly_begun(&run) {
+                return Err(no_such_run(&run));
+            }
+            saved
         } else {
             None
         };
@@ -449,6 +453,41 @@ fn set(table: &mut Table, section: &str, key: &str, value: impl Into<Value>) {
     if let Value::Table(section) = section {
         section.insert(key.to_owned(), value.into());
     }
+}
+
+/// Whether a folder is that of a run which was killed before it had written its settings: there, with
+/// nothing in it but its lock.
+fn is_hardly_begun(run: &Path) -> bool {
+    let is_lock = |entry: fs::DirEntry| entry.file_name() == "train.lock";
+    fs::read_dir(run).is_ok_and(|entries| entries.flatten().all(is_lock))
+}
+
+/// Says that there is no run to go on with, and which there are beside it.
+fn no_such_run(run: &Path) -> Error {
+    let beside = match run.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let entries = fs::read_dir(beside).into_iter().flatten().flatten();
+    let mut runs: Vec<String> = entries
+        .filter(|entry| entry.path().join("config.json").is_file())
+        .map(|entry| quoted(&run.with_file_name(entry.file_name())))
+        .collect();
+    runs.sort();
+    let remedy = if runs.is_empty() {
+        "check the name, or leave --resume out to start it".to_owned()
+    } else {
+        format!(
+            "check the name (there are {}), or leave --resume out to start it",
+            runs.join(", ")
+        )
+    };
+    let problem = if run.exists() {
+        "holds no run to go on with"
+    } else {
+        "is not there: no such run"
+    };
+    Error::value(format!("run {}", run.display()), problem, remedy)
 }
 
 /// A folder with anything in it.

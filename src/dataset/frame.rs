@@ -88,12 +88,12 @@ impl FrameImage {
             .filter(|(_, area)| area.is_valid())
     }
 
-    /// Decodes the image.
+    /// Decodes the image, turned as its file says: labels count in the picture as it is shown.
     ///
     /// # Errors
-    /// Those of [`imaging::load_rgb`], and a size that is not the camera's.
+    /// Those of [`imaging::load_upright`], and a size that is not the camera's.
     pub fn load(&self, camera: &Camera) -> Result<RgbImage> {
-        let image = imaging::load_rgb(&self.path)?;
+        let image = imaging::load_upright(&self.path)?;
         if image.dimensions() == (camera.width, camera.height) {
             return Ok(image);
         }
@@ -192,7 +192,7 @@ impl Frame {
     /// Decodes both images, left first.
     ///
     /// # Errors
-    /// Those of [`imaging::load_rgb`], a size that is not the rig's, and a frame without a right
+    /// Those of [`imaging::load_upright`], a size that is not the rig's, and a frame without a right
     /// image.
     pub fn load(&self, rig: &StereoRig) -> Result<[RgbImage; 2]> {
         let Some(right) = &self.right else {

@@ -14,6 +14,7 @@ use super::{DatasetInfo, FORMAT_VERSION, FrameRow, Label, Split, read_frames_csv
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::StereoRig;
+use crate::imaging::has_image_ending;
 use crate::progress::Progress;
 
 /// Distances of one vehicle in different lines may differ by this much, metres, because they were
@@ -284,10 +285,11 @@ fn scan_frame_files(folder: &Path) -> Result<FrameFiles> {
             .extension()
             .and_then(|extension| extension.to_str())
             .unwrap_or_default();
-        match extension.to_ascii_lowercase().as_str() {
-            "png" | "jpg" | "jpeg" => files.entry((stamp, side)).or_default().images.push(path),
-            "txt" => files.entry((stamp, side)).or_default().labels.push(path),
-            _ => {}
+        let is_text = extension.eq_ignore_ascii_case("txt");
+        if has_image_ending(&path) {
+            files.entry((stamp, side)).or_default().images.push(path);
+        } else if is_text {
+            files.entry((stamp, side)).or_default().labels.push(path);
         }
     }
     for found in files.values_mut() {

@@ -18,7 +18,7 @@ pub(crate) fn serialize<S: Serializer>(stamp: &u64, serializer: S) -> Result<S::
 
 pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
     #[derive(Deserialize)]
-    #[serde(untagged)]
+    #[serde(untagged, expecting = "the number of a frame")]
     enum Stamp {
         Number(u64),
         Text(String),

@@ -6,6 +6,9 @@ use super::{Scale, Yolo11, Yolo11Config};
 use crate::error::{Error, Result};
 use crate::weights::StateDict;
 
+/// A tensor that every detector has, and whose shape says how many classes there are.
+const CLASS_WEIGHT: &str = "model.23.cv3.0.2.weight";
+
 /// What [`load_detector`] had to do beyond copying.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LoadReport {
@@ -40,6 +43,7 @@ pub fn tensor_name(path: &str) -> String {
 
 /// Builds a detector from a state dict in the published names.
 ///
+/// A prefix of all names (`model.`, `module.`, `ema.`) is taken off.
 /// Entries that hold no trained numbers (`num_batches_tracked`, the constant bins) are ignored.
 /// The width of the class branch is taken from the file. When the file was trained for another
 /// number of classes, the last class convolutions start afresh and the report says so.
@@ -52,18 +56,18 @@ pub fn load_detector(
     classes: usize,
     device: &Device,
 ) -> Result<(Yolo11, LoadReport)> {
-    let mut state = state.clone();
+    let mut state = state.clone().without_prefix(CLASS_WEIGHT);
     state.tensors.retain(|name, _| {
         !name.ends_with("num_batches_tracked") && !name.ends_with("dfl.conv.weight")
     });
     let class_shape = state
         .tensors
-        .get("model.23.cv3.0.2.weight")
+        .get(CLASS_WEIGHT)
         .map(|(shape, _)| shape.clone());
     let Some([classes_in_file, width, 1, 1]) = class_shape.as_deref() else {
         return Err(Error::weights(
             &state.path,
-            "holds no YOLO11 detector: tensor model.23.cv3.0.2.weight is missing or mis-shaped",
+            format!("holds no YOLO11 detector: tensor {CLASS_WEIGHT} is missing or mis-shaped"),
             "give a state dict with the published names, or weights that `train` wrote",
         ));
     };

@@ -4,61 +4,68 @@
 //! annotations/instances_train.json   images, annotations (bbox = x, y, width, height; pixels of
 //!                                    this crate's convention) and categories
 //! images/left_00042.png              the images, in this folder or where the file says
+//! train/_annotations.coco.json       or beside the images, a folder a split (Roboflow)
 //! ```
 //!
-//! An annotation with `iscrowd` becomes an ignored label and the other way round. What this crate
+//! Boxes count in the pixels of the picture as it is shown, or as it is stored where the file's width
+//! and height are those. An annotation with `iscrowd` becomes an ignored label and the other way round. What this crate
 //! knows beyond COCO stands under the key `twinsight` of the file, of each image and of each
 //! annotation, which other programs ignore.
 
 mod export;
+mod files;
 mod import;
+mod lenient;
 
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{BoxKind, View};
 use crate::geometry::RigSettings;
+use lenient::{Id, Number};
 
 pub use export::export;
-pub use import::import;
+pub(super) use import::Coco;
 
-/// A file of annotations, as far as it matters here.
-#[derive(Debug, Serialize, Deserialize)]
+/// A file of annotations as it is read, as far as it matters here.
+#[derive(Debug, Deserialize)]
 struct CocoFile {
     images: Vec<CocoImage>,
     annotations: Vec<CocoAnnotation>,
     categories: Vec<CocoCategory>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
     twinsight: Option<FileExtra>,
 }
 
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Deserialize)]
 struct CocoImage {
-    id: u64,
+    id: Id,
     file_name: String,
-    width: u32,
-    height: u32,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
+    width: Number,
+    #[serde(default)]
+    height: Number,
+    #[serde(default)]
     twinsight: Option<ImageExtra>,
 }
 
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Deserialize)]
 struct CocoAnnotation {
-    id: u64,
-    image_id: u64,
-    category_id: u64,
+    #[serde(default)]
+    id: Number,
+    image_id: Id,
+    category_id: Id,
     /// x, y, width, height.
-    bbox: Vec<f64>,
     #[serde(default)]
-    area: f64,
+    bbox: Option<Vec<Number>>,
     #[serde(default)]
-    iscrowd: u8,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    iscrowd: Number,
+    #[serde(default)]
     twinsight: Option<BoxExtra>,
 }
 
 #[derive(Debug, Serialize, Deserialize)]
 struct CocoCategory {
-    id: u64,
+    id: Id,
     name: String,
 }
 

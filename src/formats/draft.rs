@@ -46,6 +46,8 @@ pub(super) struct DraftFrame {
     pub split: Option<Split>,
     /// Its row of `frames.csv`; the split in it is not decided yet.
     pub row: FrameRow,
+    /// Whether labels count in the images' pixels as they are stored, not as they are shown.
+    pub stored: bool,
 }
 
 impl DraftFrame {
@@ -67,6 +69,7 @@ impl DraftFrame {
                 elevation_deg: None,
                 distance_m: None,
             },
+            stored: false,
         }
     }
 
@@ -122,6 +125,8 @@ pub(super) struct Draft {
     pub frames: Vec<DraftFrame>,
     /// What could not be read.
     pub problems: Vec<Problem>,
+    /// Images that nobody labelled and that are taken to show nothing.
+    pub unlabelled: usize,
 }
 
 impl Draft {
@@ -199,8 +204,9 @@ impl Draft {
         let mut written = Vec::new();
         for ((side, image), labels) in Side::ALL.iter().zip(&frame.images).zip(&frame.labels) {
             let camera = self.rig.camera(*side);
+            let size = [camera.width, camera.height];
             let stem = format!("{side}_{}", stamp_name(frame.row.stamp));
-            match copy::place(image, &folder, &stem, [camera.width, camera.height]) {
+            match copy::place(image, &folder, &stem, size, frame.stored) {
                 Ok(path) => written.push(path),
                 // What cannot be written stops the import, what cannot be read only this frame.
                 Err(
@@ -322,6 +328,7 @@ impl Draft {
             vehicles: vehicles.len(),
             ignored: count(|label| label.ignored),
             with_distance: count(|label| label.distance_m.is_some()),
+            unlabelled: self.unlabelled,
             left_out: self.problems,
         }
     }

@@ -6,6 +6,7 @@ use std::path::{Component, Path, PathBuf};
 
 use super::copy::scale_to_fit;
 use super::draft::{Draft, DraftFrame, stamps};
+use super::options::ImportOptions;
 use crate::dataset::{BoxKind, DatasetInfo, FrameRow, Label, Problem, Side, Split};
 use crate::detector::Detection;
 use crate::error::{Error, Result};
@@ -17,20 +18,6 @@ const SAME_DISTANCE_M: f64 = 1e-3;
 
 /// Single images on a common canvas may cost this many times their own pixels.
 const MOST_WASTE: u64 = 4;
-
-/// What the files of a heap of images do not say.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct HeapOptions {
-    /// Every image is on its own, even where names speak of left and right ones.
-    pub single: bool,
-    /// Distance between the cameras of pairs, metres.
-    pub baseline_m: Option<f64>,
-    /// Horizontal field of view of the cameras of pairs, degrees.
-    pub hfov_deg: Option<f64>,
-    /// The canvas for single images, pixels: larger ones are shrunk to fit. Without it, the canvas
-    /// holds every image as it is.
-    pub canvas: Option<[u32; 2]>,
-}
 
 /// An image with its objects.
 #[derive(Debug, Clone)]
@@ -47,6 +34,8 @@ pub(super) struct HeapImage {
     pub row: Option<FrameRow>,
     /// What is in it.
     pub objects: Vec<HeapObject>,
+    /// Whether boxes count in its pixels as they are stored, not as they are shown.
+    pub stored: bool,
 }
 
 /// An object in an image.
@@ -78,11 +67,13 @@ pub(super) struct Heap {
     pub rig: Option<StereoRig>,
     pub images: Vec<HeapImage>,
     pub problems: Vec<Problem>,
+    /// Images that nobody labelled.
+    pub unlabelled: usize,
 }
 
 impl Heap {
     /// Sorts the images into frames.
-    pub fn into_draft(self, options: &HeapOptions) -> Result<Draft> {
+    pub fn into_draft(self, options: &ImportOptions) -> Result<Draft> {
         let is_right = |image: &HeapImage| matches!(side_of(&image.name), Some((Side::Right, _)));
         if !options.single && self.images.iter().any(is_right) {
             self.pairs(options)
@@ -101,10 +92,11 @@ impl Heap {
             stereo,
             frames,
             problems: self.problems,
+            unlabelled: self.unlabelled,
         }
     }
 
-    fn single(mut self, options: &HeapOptions) -> Result<Draft> {
+    fn single(mut self, options: &ImportOptions) -> Result<Draft> {
         let canvas = self.canvas(options)?;
         let rig = DatasetInfo::single_image_rig(canvas[0], canvas[1])?;
         let images = std::mem::take(&mut self.images);
@@ -125,7 +117,7 @@ impl Heap {
         Ok(self.draft(rig, false, frames))
     }
 
-    fn canvas(&self, options: &HeapOptions) -> Result<[u32; 2]> {
+    fn canvas(&self, options: &ImportOptions) -> Result<[u32; 2]> {
         if let Some(canvas) = options.canvas {
             return Ok(canvas);
         }
@@ -143,7 +135,7 @@ impl Heap {
         Ok(canvas)
     }
 
-    fn pairs(mut self, options: &HeapOptions) -> Result<Draft> {
+    fn pairs(mut self, options: &ImportOptions) -> Result<Draft> {
         let mut pairs: BTreeMap<String, [Option<HeapImage>; 2]> = BTreeMap::new();
         for image in std::mem::take(&mut self.images) {
             match side_of(&image.name) {
@@ -202,7 +194,7 @@ impl Heap {
 
     fn pair_rig(
         &self,
-        options: &HeapOptions,
+        options: &ImportOptions,
         pairs: &[(String, HeapImage, HeapImage)],
     ) -> Result<StereoRig> {
         match (options.baseline_m, options.hfov_deg, self.rig) {
@@ -228,9 +220,11 @@ impl Heap {
 fn frame(name: String, stamp: u64, images: Vec<HeapImage>, labels: Vec<Vec<Label>>) -> DraftFrame {
     let split = images.first().and_then(|image| image.split);
     let row = images.first().and_then(|image| image.row.clone());
+    let stored = images.first().is_some_and(|image| image.stored);
     let paths = images.into_iter().map(|image| image.path).collect();
     let mut frame = DraftFrame::new(name, stamp, paths, labels);
     frame.split = split;
+    frame.stored = stored;
     if let Some(row) = row {
         frame.row = FrameRow { stamp, ..row };
     }

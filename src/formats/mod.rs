@@ -3,25 +3,32 @@
 //! An import reads the foreign files into a draft, frame by frame, and writes what is usable as a
 //! dataset; every frame that is not is named with its reason. An export writes a dataset so that an
 //! import brings back what the foreign format can hold. `datasets/README.md` has the table of what
-//! is kept and what is lost.
+//! is kept and what is lost, `docs/formats.md` an example of every format.
+//!
+//! Formats that are imported stand in the table of [`known`]; a new one is a type with the trait
+//! `Importer` in a file of its own, and a line there.
 
 mod classes;
 pub mod coco;
 mod copy;
 mod draft;
+mod finder;
 mod flat;
+mod importer;
 pub mod kitti;
 mod number;
+mod options;
 mod report;
 mod splits;
 mod target;
 mod vehicle;
-pub mod vkitti2;
+mod vkitti2;
 pub mod yolo;
 
 pub use classes::ClassMap;
 pub use draft::ImportTarget;
-pub use flat::HeapOptions;
+pub use importer::{KnownFormat, import, known};
+pub use options::ImportOptions;
 pub use report::{ExportReport, ImportReport};
 pub use splits::SplitSettings;
 
@@ -29,27 +36,29 @@ pub use splits::SplitSettings;
 mod tests;
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::error::{Error, Result};
+use crate::dataset::Problem;
+use crate::error::Result;
+use crate::imaging::{READABLE, files_in};
 
-/// The images in a folder by their names without ending.
-fn image_files(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
-    let mut found = BTreeMap::new();
-    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
-        let path = entry.map_err(Error::io("read", folder))?.path();
-        if is_image(&path)
-            && let Some(stem) = path.file_stem()
-        {
-            found.insert(stem.to_string_lossy().into_owned(), path);
-        }
-    }
-    Ok(found)
+/// The images in a folder by their names without ending; other files that may have been meant are
+/// named among the problems.
+fn image_files(folder: &Path, problems: &mut Vec<Problem>) -> Result<BTreeMap<String, PathBuf>> {
+    let files = files_in(folder)?;
+    problems.extend(files.skipped.iter().map(|path| skipped(folder, path)));
+    let named = files.images.into_iter().filter_map(|path| {
+        let stem = path.file_stem()?.to_string_lossy().into_owned();
+        Some((stem, path))
+    });
+    Ok(named.collect())
 }
 
-/// Whether a file's name says that it is an image that can be read.
-fn is_image(path: &Path) -> bool {
-    let ending = path.extension().unwrap_or_default().to_string_lossy();
-    ["png", "jpg", "jpeg"].contains(&ending.to_ascii_lowercase().as_str())
+/// A file that may be a picture but not of a kind that is read.
+fn skipped(folder: &Path, path: &Path) -> Problem {
+    let inside = path.strip_prefix(folder).unwrap_or(path);
+    Problem {
+        subject: inside.display().to_string(),
+        reason: format!("is not a {READABLE} image"),
+    }
 }

@@ -11,8 +11,16 @@ pub(super) fn finite(text: &str, name: &str) -> Result<f64, String> {
     Err(format!("{name} is {value}"))
 }
 
-/// Reads a whole number of zero or more; the reason names the field.
+/// Reads a whole number of zero or more, be it written as `2.0` or `2e0`; the reason names the field.
 pub(super) fn whole(text: &str, name: &str) -> Result<u32, String> {
-    text.parse()
-        .map_err(|error| format!("'{text}' is not a value for {name}: {error}"))
+    if let Ok(value) = text.parse() {
+        return Ok(value);
+    }
+    let value = finite(text, name)?;
+    if value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value) {
+        return Ok(value as u32);
+    }
+    Err(format!(
+        "'{text}' is not a value for {name}: not a whole number from 0"
+    ))
 }

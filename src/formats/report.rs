@@ -13,6 +13,8 @@ pub struct ImportReport {
     pub ignored: usize,
     /// Of these, how many have a distance.
     pub with_distance: usize,
+    /// Images without labels of their own, which are taken to show nothing.
+    pub unlabelled: usize,
     /// Frames that could not be used, and lesser things that were left out.
     pub left_out: Vec<Problem>,
 }

@@ -1,6 +1,9 @@
 //! Laws of imports and exports on datasets that the tests write themselves.
 
+mod coco_kinds;
 mod hostile;
+mod kinds;
+mod kitti_kinds;
 mod round_trip;
 mod streets;
 

@@ -14,91 +14,96 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::copy;
-use super::draft::{Draft, DraftFrame, ImportTarget};
+use super::draft::{Draft, DraftFrame};
+use super::importer::Importer;
+use super::kitti::wanted_classes;
 use super::number::{finite, whole};
-use super::report::ImportReport;
+use super::options::ImportOptions;
 use super::vehicle::{self, Sighting};
 use super::{ClassMap, image_files};
 use crate::dataset::{BoxKind, Problem, Side};
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::{Cuboid, Intrinsics, PixelBox, RigSettings, StereoRig};
-use crate::progress::Progress;
 
 /// From Virtual KITTI's principal point to this crate's.
 const HALF_PIXEL: f64 = 0.5;
 
-/// How a Virtual KITTI 2 folder is read.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Vkitti2Options {
-    /// The folder that holds `Scene01` and so on.
-    pub source: PathBuf,
-    /// Which variants of the scenes, such as `clone` and `sunset`; empty takes all.
-    pub variants: Vec<String>,
-    /// Vehicles of which a smaller part is in the image and not hidden are ignored.
-    pub least_visible: f64,
-}
+/// Virtual KITTI 2. The scenes' numbers are kept, so splits keep scenes apart.
+pub(super) struct VirtualKitti;
 
-/// Imports a Virtual KITTI 2 folder. The scenes' numbers are kept, so splits keep scenes apart.
-///
-/// # Errors
-/// A folder without scenes, a target that is occupied, or no usable frame.
-pub fn import(
-    options: &Vkitti2Options,
-    target: &ImportTarget,
-    progress: &dyn Progress,
-) -> Result<ImportReport> {
-    let classes = target
-        .classes
-        .clone()
-        .unwrap_or_else(|| ClassMap::merged("car", &["Car", "Van", "Truck"]));
-    let mut read = Read {
-        options,
-        classes: &classes,
-        rig: None,
-        frames: Vec::new(),
-        problems: Vec::new(),
-    };
-    for (scene, folder) in scenes(&options.source)? {
-        for (variant, folder) in folders(&folder)? {
-            let wanted = options.variants.is_empty() || options.variants.contains(&variant);
-            if wanted && let Err(reason) = read.variant(scene, &variant, &folder) {
-                read.problems.push(Problem {
-                    subject: format!("Scene{scene:02}/{variant}"),
-                    reason,
-                });
+impl Importer for VirtualKitti {
+    fn word(&self) -> &'static str {
+        "vkitti2"
+    }
+
+    fn name(&self) -> &'static str {
+        "Virtual KITTI 2"
+    }
+
+    fn layout(&self) -> &'static str {
+        "Scene01/clone/frames/rgb/Camera_0/rgb_00000.jpg, bbox.txt, pose.txt, info.txt"
+    }
+
+    fn matches(&self, source: &Path) -> bool {
+        source.is_dir() && scenes(source).is_ok()
+    }
+
+    fn read(
+        &self,
+        source: &Path,
+        classes: Option<&ClassMap>,
+        options: &ImportOptions,
+    ) -> Result<Draft> {
+        let classes = wanted_classes(classes);
+        let mut read = Read {
+            options,
+            classes: &classes,
+            rig: None,
+            frames: Vec::new(),
+            problems: Vec::new(),
+        };
+        for (scene, folder) in scenes(source)? {
+            for (variant, folder) in folders(&folder)? {
+                let wanted = options.variants.is_empty() || options.variants.contains(&variant);
+                if wanted && let Err(reason) = read.variant(scene, &variant, &folder) {
+                    read.problems.push(Problem {
+                        subject: format!("Scene{scene:02}/{variant}"),
+                        reason,
+                    });
+                }
             }
         }
-    }
-    let Read {
-        rig,
-        frames,
-        problems,
-        ..
-    } = read;
-    let Some(rig) = rig else {
-        let reason = if problems.is_empty() {
-            "no variant of a scene was found".to_owned()
-        } else {
-            Problem::summary(&problems)
+        let Read {
+            rig,
+            frames,
+            problems,
+            ..
+        } = read;
+        let Some(rig) = rig else {
+            let reason = if problems.is_empty() {
+                "no variant of a scene was found".to_owned()
+            } else {
+                Problem::summary(&problems)
+            };
+            return Err(Error::dataset(
+                source,
+                format!("gives no usable frame: {reason}"),
+                "unpack both vkitti_2.0.3_rgb and vkitti_2.0.3_textgt into it",
+            ));
         };
-        return Err(Error::dataset(
-            &options.source,
-            format!("gives no usable frame: {reason}"),
-            "unpack both vkitti_2.0.3_rgb and vkitti_2.0.3_textgt into it",
-        ));
-    };
-    let draft = Draft {
-        program: "twinsight import vkitti2",
-        source: options.source.clone(),
-        classes: classes.names(),
-        kinds: vec![BoxKind::Sphere, BoxKind::Tight],
-        rig,
-        stereo: true,
-        frames,
-        problems,
-    };
-    draft.write(target, progress)
+        Ok(Draft {
+            program: "twinsight import vkitti2",
+            source: source.to_path_buf(),
+            classes: classes.names(),
+            kinds: vec![BoxKind::Sphere, BoxKind::Tight],
+            rig,
+            stereo: true,
+            frames,
+            problems,
+            unlabelled: 0,
+        })
+    }
 }
 
 /// The scenes by number.
@@ -132,7 +137,7 @@ fn folders(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
 
 /// What has been read so far.
 struct Read<'a> {
-    options: &'a Vkitti2Options,
+    options: &'a ImportOptions,
     classes: &'a ClassMap,
     rig: Option<StereoRig>,
     frames: Vec<DraftFrame>,
@@ -145,9 +150,9 @@ type Key = (u32, u32, u32);
 impl Read<'_> {
     /// Reads one variant of a scene; the reason against it in words.
     fn variant(&mut self, scene: u32, variant: &str, folder: &Path) -> Result<(), String> {
-        let images = |camera: u32| {
+        let mut images = |camera: u32| {
             let folder = folder.join(format!("frames/rgb/Camera_{camera}"));
-            image_files(&folder).map_err(|error| error.to_string())
+            image_files(&folder, &mut self.problems).map_err(|error| error.to_string())
         };
         let [left, right] = [images(0)?, images(1)?];
         let rig = Self::variant_rig(folder, left.values().next())?;

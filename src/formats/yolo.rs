@@ -6,16 +6,17 @@
 //! labels/train/left_00042.txt      ... and beside it one `labels` with a line an object
 //! ```
 //!
-//! A line is `class center_x center_y width height`, fractions of the image, and as this crate's
-//! extension a sixth number, the distance in metres. A polygon (seven numbers or more) becomes the
-//! box around it. `data.yaml` of this crate also has the rig and the kind of the boxes, under
-//! `twinsight`, which other programs ignore.
+//! A line is `class center_x center_y width height`, fractions of the image as it is shown. Further
+//! numbers are what `data.yaml` says: key points (`kpt_shape`), or as this crate's extension the
+//! distance in metres; otherwise one more is a detector's confidence, and a polygon (six numbers or
+//! more in place of the four) becomes the box around it. `data.yaml` of this crate also has the rig
+//! and the kind of the boxes, under `twinsight`, which other programs ignore.
 
+mod data_yaml;
 mod export;
+mod images;
 mod import;
 mod label;
-
-use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
@@ -23,58 +24,10 @@ use crate::dataset::BoxKind;
 use crate::geometry::RigSettings;
 
 pub use export::export;
-pub use import::import;
+pub(super) use import::Yolo;
 
-/// `data.yaml`, as far as it matters here.
-#[derive(Debug, Serialize, Deserialize)]
-struct DataYaml {
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    path: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    train: Option<Places>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    val: Option<Places>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    test: Option<Places>,
-    names: Names,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    twinsight: Option<Extra>,
-}
-
-/// Where the images of a split are.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(untagged)]
-enum Places {
-    One(String),
-    Several(Vec<String>),
-}
-
-/// Class names by index.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(untagged)]
-enum Names {
-    List(Vec<String>),
-    Map(BTreeMap<u32, String>),
-}
-
-impl Names {
-    fn get(&self, index: u32) -> Option<&String> {
-        match self {
-            Self::List(names) => names.get(index as usize),
-            Self::Map(names) => names.get(&index),
-        }
-    }
-
-    fn all(&self) -> Vec<String> {
-        match self {
-            Self::List(names) => names.clone(),
-            Self::Map(names) => names.values().cloned().collect(),
-        }
-    }
-}
-
-/// What only this crate writes and reads.
-#[derive(Debug, Serialize, Deserialize)]
+/// What only this crate writes and reads of `data.yaml`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct Extra {
     /// Of stereo pairs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -82,8 +35,15 @@ struct Extra {
     /// Kind of the boxes; files of older versions do not say and mean tight ones.
     #[serde(default = "tight")]
     kind: BoxKind,
+    /// Whether a sixth number is a distance; files of older versions do not say and mean it.
+    #[serde(default = "yes")]
+    distance: bool,
 }
 
 const fn tight() -> BoxKind {
     BoxKind::Tight
+}
+
+const fn yes() -> bool {
+    true
 }

@@ -1,3 +1,5 @@
+use std::fs;
+
 use super::*;
 use image::{GrayImage, ImageBuffer, Luma, Rgb, Rgba, RgbaImage};
 
@@ -55,6 +57,94 @@ fn truncated_files_are_refused_at_any_length() {
 }
 
 #[test]
+fn bmp_webp_and_tiff_hold_the_same_pixels_and_cut_off_ones_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, format) in [
+        ("a.bmp", ImageFormat::Bmp),
+        ("a.webp", ImageFormat::WebP),
+        ("a.tif", ImageFormat::Tiff),
+        // The content decides.
+        ("a.png", ImageFormat::WebP),
+        ("frame_7", ImageFormat::Tiff),
+    ] {
+        let mut bytes = Vec::new();
+        noise(31, 17)
+            .write_to(&mut Cursor::new(&mut bytes), format)
+            .unwrap();
+        let path = folder.path().join(name);
+        fs::write(&path, &bytes).unwrap();
+        assert!(is_image(&path), "{name}");
+        assert_eq!(load_rgb(&path).unwrap(), noise(31, 17), "{name}");
+        assert_eq!(header(&path).unwrap().shown, [31, 17]);
+        for length in [0, 1, 8, 40, bytes.len() / 2] {
+            fs::write(&path, &bytes[..length]).unwrap();
+            assert!(message(&path).contains(name), "{length} bytes of {name}");
+        }
+    }
+}
+
+#[test]
+fn files_of_a_folder_are_images_by_ending_or_content_and_others_are_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let png = png_bytes("a.png", &noise(4, 3)).unwrap();
+    for (name, bytes) in [
+        ("b.JPEG", &b"damaged"[..]),
+        ("a", &png),
+        ("c.img", &png),
+        ("d.heic", b"ftypheic"),
+        ("e.gif", b"GIF89a"),
+        ("labels.txt", b"0 0.5"),
+        (".hidden.png", &png),
+    ] {
+        fs::write(folder.path().join(name), bytes).unwrap();
+    }
+    fs::create_dir(folder.path().join("inner.png")).unwrap();
+    let found = files_in(folder.path()).unwrap();
+    let names = |paths: &[std::path::PathBuf]| -> Vec<String> {
+        let name = |path: &std::path::PathBuf| path.file_name().unwrap().to_owned();
+        let names = paths.iter().map(name);
+        names.map(|name| name.into_string().unwrap()).collect()
+    };
+    assert_eq!(names(&found.images), ["a", "b.JPEG", "c.img"]);
+    assert_eq!(names(&found.skipped), ["d.heic", "e.gif"]);
+    assert_eq!(names(&found.folders), ["inner.png"]);
+}
+
+/// A JPEG file without its segments of Huffman tables.
+fn without_tables(jpeg: &[u8]) -> Vec<u8> {
+    let mut kept = jpeg[..2].to_vec();
+    let mut at = 2;
+    while jpeg[at + 1] != 0xDA {
+        let end = at + 2 + usize::from(u16::from_be_bytes([jpeg[at + 2], jpeg[at + 3]]));
+        if jpeg[at + 1] != 0xC4 {
+            kept.extend(&jpeg[at..end]);
+        }
+        at = end;
+    }
+    kept.extend(&jpeg[at..]);
+    kept
+}
+
+#[test]
+fn jpeg_files_without_huffman_tables_have_the_standard_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jpg");
+    // The encoder writes the standard tables, which webcams leave out.
+    let whole = jpeg_bytes(&path, &noise(64, 48)).unwrap();
+    let bare = without_tables(&whole);
+    assert!(bare.len() + 400 < whole.len());
+    fs::write(&path, &whole).unwrap();
+    let expected = load_rgb(&path).unwrap();
+    fs::write(&path, &bare).unwrap();
+    assert_eq!(load_rgb(&path).unwrap(), expected);
+    assert_eq!(header(&path).unwrap().stored, [64, 48]);
+    for length in 0..bare.len() {
+        fs::write(&path, &bare[..length]).unwrap();
+        assert!(load_rgb(&path).is_err(), "{length}");
+    }
+}
+
+#[test]
 fn damaged_bytes_and_other_formats_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.png");
@@ -64,7 +154,7 @@ fn damaged_bytes_and_other_formats_are_refused() {
     fs::write(&path, &bytes).unwrap();
     assert!(message(&path).contains("cannot be decoded"));
     fs::write(&path, "id class x_min").unwrap();
-    assert!(message(&path).contains("neither a PNG nor a JPEG"));
+    assert!(message(&path).contains("not a PNG, JPEG, BMP, WebP or TIFF"));
 }
 
 #[test]
@@ -139,7 +229,7 @@ fn oriented(path: &Path, orientation: u8) {
 }
 
 #[test]
-fn pictures_of_turned_cameras_are_turned_for_people_and_not_for_labels() {
+fn pictures_of_turned_cameras_are_turned_as_people_see_and_label_them() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.jpg");
     // Where the black half is: its side, and whether the picture stands upright.
@@ -158,6 +248,9 @@ fn pictures_of_turned_cameras_are_turned_for_people_and_not_for_labels() {
         assert!(stored.get_pixel(2, 8).0[0] < 30);
         let shown = load_upright(&path).unwrap();
         assert_eq!(shown.dimensions(), size, "{orientation}");
+        let header = header(&path).unwrap();
+        assert_eq!((header.stored, header.shown), ([32, 16], size.into()));
+        assert_eq!(header.is_turned, (2..=8).contains(&orientation));
         let (width, height) = size;
         let (x, y) = match black {
             "left" => (2, height / 2),

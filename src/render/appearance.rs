@@ -18,7 +18,7 @@ const RANGE_STREAM: u64 = 9;
 
 /// One number, or the lowest and the highest of a range.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "a number or a range such as [0.2, 0.8]")]
 pub enum Range {
     /// Always this.
     Fixed(f64),
@@ -66,7 +66,7 @@ impl Range {
 
 /// A vehicle's body by its name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "the name of a body")]
 pub enum BodyName {
     /// One that the program comes with.
     BuiltIn(BodyStyle),

@@ -1,7 +1,6 @@
 //! Frames from folders: one folder a side, or one for both.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::files::Entry;
@@ -9,9 +8,7 @@ use super::layout::Layout;
 use super::names::{natural_order, side_and_rest, stem};
 use crate::dataset::Side;
 use crate::error::{Error, Result};
-
-/// Endings of images that can be read.
-const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
+use crate::imaging::{READABLE, files_in};
 
 /// Folders of left and right images that datasets have: plain ones, KITTI's object, raw and
 /// odometry ones, `EuRoC`'s.
@@ -31,22 +28,19 @@ const SHOWN: usize = 3;
 /// Images by what their frame is called; several of one name are kept to be told.
 type ByName = BTreeMap<String, Vec<PathBuf>>;
 
-/// The images directly in a folder, by name; hidden and other files are no concern of ours.
-fn images(folder: &Path) -> Result<Vec<PathBuf>> {
-    let mut images = Vec::new();
-    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
-        let path = entry.map_err(Error::io("read", folder))?.path();
-        let ending = path.extension().and_then(|ending| ending.to_str());
-        let is_image = ending.is_some_and(|ending| {
-            ENDINGS
-                .iter()
-                .any(|known| known.eq_ignore_ascii_case(ending))
-        });
-        let is_hidden = stem(&path).starts_with('.');
-        if is_image && !is_hidden && !path.is_dir() {
-            images.push(path);
-        }
-    }
+/// The frames of folders, and the files there that could be pictures of a kind that is not read.
+#[derive(Debug, Default)]
+pub(super) struct Found {
+    pub entries: Vec<Entry>,
+    pub skipped: Vec<PathBuf>,
+}
+
+/// The images directly in a folder, in natural order; other files that may have been meant go to
+/// `skipped`.
+fn images(folder: &Path, skipped: &mut Vec<PathBuf>) -> Result<Vec<PathBuf>> {
+    let found = files_in(folder)?;
+    skipped.extend(found.skipped);
+    let mut images = found.images;
     images.sort_by(|a, b| {
         natural_order(&stem(a), &stem(b)).then_with(|| a.file_name().cmp(&b.file_name()))
     });
@@ -54,12 +48,16 @@ fn images(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// The images of a folder, of which there must be one.
-fn some_images(folder: &Path) -> Result<Vec<PathBuf>> {
-    let images = images(folder)?;
+fn some_images(folder: &Path, skipped: &mut Vec<PathBuf>) -> Result<Vec<PathBuf>> {
+    let images = images(folder, skipped)?;
     if images.is_empty() {
+        let others = match skipped.first().and_then(|path| path.file_name()) {
+            Some(name) => format!(" but other files such as {}", name.display()),
+            None => String::new(),
+        };
         return Err(Error::value(
             folder.display().to_string(),
-            "holds no PNG or JPEG images",
+            format!("holds no {READABLE} images{others}"),
             "check the path, or convert the images to PNG",
         ));
     }
@@ -67,17 +65,25 @@ fn some_images(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// Pictures that show both sides.
-pub(super) fn stacked(folder: &Path, layout: Layout) -> Result<Vec<Entry>> {
-    let entries = some_images(folder)?.into_iter();
-    Ok(entries
-        .map(|path| Entry::stacked(stem(&path), &path, layout))
-        .collect())
+pub(super) fn stacked(folder: &Path, layout: Layout) -> Result<Found> {
+    let mut skipped = Vec::new();
+    let entries = some_images(folder, &mut skipped)?.into_iter();
+    Ok(Found {
+        entries: entries
+            .map(|path| Entry::stacked(stem(&path), &path, layout))
+            .collect(),
+        skipped,
+    })
 }
 
 /// A folder of left and a folder of right images: those of the same name, but for the side in it,
 /// are a pair; where no names agree, the first one of each folder, the second ones and so on.
-pub(super) fn two(folders: [&Path; 2]) -> Result<Vec<Entry>> {
-    let [left, right] = [some_images(folders[0])?, some_images(folders[1])?];
+pub(super) fn two(folders: [&Path; 2]) -> Result<Found> {
+    let mut skipped = Vec::new();
+    let [left, right] = [
+        some_images(folders[0], &mut skipped)?,
+        some_images(folders[1], &mut skipped)?,
+    ];
     let named = |images: &[PathBuf], side: Side| -> ByName {
         let mut by_name = ByName::new();
         for path in images {
@@ -92,7 +98,8 @@ pub(super) fn two(folders: [&Path; 2]) -> Result<Vec<Entry>> {
     };
     let sides = [named(&left, Side::Left), named(&right, Side::Right)];
     if sides[0].keys().any(|name| sides[1].contains_key(name)) {
-        return Ok(joined(&sides, folders));
+        let entries = joined(&sides, folders);
+        return Ok(Found { entries, skipped });
     }
     if left.len() != right.len() {
         let few = |images: &[PathBuf]| {
@@ -113,13 +120,16 @@ pub(super) fn two(folders: [&Path; 2]) -> Result<Vec<Entry>> {
         ));
     }
     let entries = left.iter().zip(&right);
-    Ok(entries
-        .map(|(left, right)| Entry::pair(stem(left), [left, right]))
-        .collect())
+    Ok(Found {
+        entries: entries
+            .map(|(left, right)| Entry::pair(stem(left), [left, right]))
+            .collect(),
+        skipped,
+    })
 }
 
 /// A folder that holds both sides: folders for each, or names that say which.
-pub(super) fn both_sides(folder: &Path) -> Result<Vec<Entry>> {
+pub(super) fn both_sides(folder: &Path) -> Result<Found> {
     for sides in SIDES {
         let both = sides.map(|side| folder.join(side));
         if both.iter().all(|side| side.is_dir()) {
@@ -132,11 +142,16 @@ pub(super) fn both_sides(folder: &Path) -> Result<Vec<Entry>> {
         }
     }
     let inner = folder.join("frames");
-    let found = sided(folder)?;
+    let mut skipped = Vec::new();
+    let found = sided(folder, &mut skipped)?;
     let (found, folder) = match found {
         Some(found) => (found, folder),
         // A dataset of this program.
-        None if inner.is_dir() => (sided(&inner)?.unwrap_or_default(), inner.as_path()),
+        None if inner.is_dir() => {
+            skipped.clear();
+            let found = sided(&inner, &mut skipped)?;
+            (found.unwrap_or_default(), inner.as_path())
+        }
         None => (Default::default(), folder),
     };
     if found.iter().all(BTreeMap::is_empty) {
@@ -147,13 +162,16 @@ pub(super) fn both_sides(folder: &Path) -> Result<Vec<Entry>> {
             "give a folder each for left and right images, or --layout if each picture shows both",
         ));
     }
-    Ok(joined(&found, [folder, folder]))
+    Ok(Found {
+        entries: joined(&found, [folder, folder]),
+        skipped,
+    })
 }
 
 /// The images whose names say which side they are; None without any.
-fn sided(folder: &Path) -> Result<Option<[ByName; 2]>> {
+fn sided(folder: &Path, skipped: &mut Vec<PathBuf>) -> Result<Option<[ByName; 2]>> {
     let mut sides = [ByName::new(), ByName::new()];
-    for path in images(folder)? {
+    for path in images(folder, skipped)? {
         if let Some((side, name)) = side_and_rest(&stem(&path)) {
             let index = usize::from(side == Side::Right);
             sides[index].entry(name).or_default().push(path);

@@ -180,7 +180,7 @@ fn what_makes_no_pairs_is_refused_with_the_reason() {
         (&["a", "b"][..], &["1 and 2 images", "same name"][..]),
         (&["a"], &["no stereo pairs", "left_1.png"]),
         (&["empty"], &["no stereo pairs"]),
-        (&["empty", "a"], &["empty", "no PNG or JPEG"]),
+        (&["empty", "a"], &["empty", "no PNG, JPEG"]),
         (&["one.png"], &["one.png", "--layout"]),
         (&["nowhere"], &["nowhere", "check the path"]),
         (&["a", "one.png"], &["different kinds"]),
@@ -219,6 +219,7 @@ fn counted(made: &Arc<AtomicUsize>) -> FrameSource {
         is_single: false,
         rate_hz: None,
         folders: Vec::new(),
+        skipped: Vec::new(),
     }
 }
 
@@ -258,8 +259,106 @@ fn a_reader_that_panics_does_not_look_like_the_end() {
         is_single: false,
         rate_hz: None,
         folders: Vec::new(),
+        skipped: Vec::new(),
     };
     let mut frames = source.read_ahead(1).unwrap();
     let outcome = panic::catch_unwind(panic::AssertUnwindSafe(|| frames.next().is_none()));
     assert!(outcome.is_err());
+}
+
+#[test]
+fn images_of_all_kinds_are_read_and_what_is_left_out_is_listed() {
+    let place = Place::new();
+    place.images(&["left/0.png", "right/0.png"]);
+    for (number, ending) in [(1, "bmp"), (2, "webp"), (3, "tiff"), (4, "TIF"), (5, "JPG")] {
+        for side in ["left", "right"] {
+            let image = RgbImage::from_pixel(8, 6, Rgb([number, number, number]));
+            image
+                .save(place.path(&format!("{side}/{number}.{ending}")))
+                .unwrap();
+        }
+    }
+    fs::write(place.path("left/6.heic"), "ftypheic").unwrap();
+    fs::write(place.path("right/notes.txt"), "of no concern").unwrap();
+    for source in [
+        place.open(&[""]).unwrap(),
+        place.open(&["left", "right"]).unwrap(),
+    ] {
+        assert_eq!(source.skipped(), [place.path("left/6.heic")]);
+        let names: Vec<String> = numbers(source)
+            .into_iter()
+            .map(|(name, images)| {
+                assert!(images.is_ok(), "{images:?}");
+                name
+            })
+            .collect();
+        assert_eq!(names, ["0", "1", "2", "3", "4", "5"]);
+    }
+    let message = place.open(&[".", "."]).unwrap_err().to_string();
+    assert!(
+        message.contains("no PNG, JPEG, BMP, WebP or TIFF"),
+        "{message}"
+    );
+}
+
+/// A rotation matrix of QuickTime: 16.16 numbers, but for the last column with 2.30.
+fn matrix([a, b, c, d]: [i32; 4], [x, y]: [i32; 2]) -> Vec<u8> {
+    let numbers = [
+        a << 16,
+        b << 16,
+        0,
+        c << 16,
+        d << 16,
+        0,
+        x << 16,
+        y << 16,
+        1 << 30,
+    ];
+    numbers.iter().flat_map(|v| v.to_be_bytes()).collect()
+}
+
+#[test]
+fn turned_videos_come_as_players_show_them() {
+    let has_ffmpeg = std::process::Command::new("ffmpeg")
+        .arg("-version")
+        .output()
+        .is_ok();
+    if !has_ffmpeg {
+        return;
+    }
+    let place = Place::new();
+    // Black above white.
+    let frame = RgbImage::from_fn(64, 32, |_, y| Rgb([if y < 16 { 0 } else { 255 }; 3]));
+    frame.save(place.path("frame.png")).unwrap();
+    let status = std::process::Command::new("ffmpeg")
+        .args(["-v", "error", "-y", "-i", "frame.png"])
+        .args(["-c:v", "mpeg4", "-q:v", "1", "plain.mp4"])
+        .current_dir(place.path(""))
+        .status()
+        .unwrap();
+    assert!(status.success());
+    let plain = fs::read(place.path("plain.mp4")).unwrap();
+    let header = plain.windows(4).position(|w| w == b"tkhd").unwrap();
+    for (name, note, size, dark) in [
+        ("none", matrix([1, 0, 0, 1], [0, 0]), (64, 32), (32, 3)),
+        ("half", matrix([-1, 0, 0, -1], [64, 32]), (64, 32), (32, 28)),
+        // A quarter clockwise: the upper edge goes to the right.
+        ("right", matrix([0, 1, -1, 0], [32, 0]), (32, 64), (28, 32)),
+        ("left", matrix([0, -1, 1, 0], [0, 64]), (32, 64), (3, 32)),
+    ] {
+        let mut bytes = plain.clone();
+        // Behind version, times, numbers, layer and volume.
+        let at = header + 4 + 40;
+        bytes[at..at + 36].copy_from_slice(&note);
+        let path = place.path(&format!("{name}.mp4"));
+        fs::write(&path, bytes).unwrap();
+        let frames = FrameSource::open(&[&path, &path], None).unwrap();
+        let frame = frames.read_ahead(1).unwrap().next().unwrap();
+        let [left, right] = frame.images.unwrap();
+        assert_eq!((left.dimensions(), right == left), (size, true), "{name}");
+        let (x, y) = dark;
+        let opposite = (size.0 - 1 - x, size.1 - 1 - y);
+        assert!(left.get_pixel(x, y).0[1] < 40, "{name}");
+        assert!(left.get_pixel(opposite.0, opposite.1).0[1] > 215, "{name}");
+    }
 }

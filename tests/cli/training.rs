@@ -451,6 +451,26 @@ fn the_distance_network_can_be_trained_on_the_boxes_of_its_own_detector() {
 }
 
 #[test]
+fn resuming_a_run_that_is_not_there_starts_nothing_and_names_those_that_are() {
+    let place = Workplace::new();
+    place.write("checkpoints/mine/config.json", "{}");
+    for line in [
+        "train --run checkpoints/mien --resume",
+        "-q train --run checkpoints/mien --resume",
+        "train --resume",
+        "train --run checkpoints --resume",
+    ] {
+        place
+            .line(line)
+            .error_says(&["run checkpoints", "--resume"]);
+    }
+    place
+        .line("train --run checkpoints/mien --resume")
+        .error_says(&["no such run", "there are checkpoints/mine"]);
+    assert_eq!(super::files_below(&place.path("")), 1);
+}
+
+#[test]
 fn a_loss_that_is_no_number_stops_the_run_and_names_the_files() {
     let place = with_settings();
     let settings = THREE_EPOCHS.replace("ema_decay = 0.9", "ema_decay = 0.9\nlearning_rate = 1.0");

@@ -5,7 +5,8 @@ use image::{Rgb, RgbImage};
 
 use super::*;
 use crate::geometry::{
-    Camera, Distortion, Intrinsics, LensCamera, PixelBox, Rectification, RectifiedView,
+    CalibrationParts, Camera, Distortion, Intrinsics, LensCamera, PixelBox, Rectification,
+    RectifiedView,
 };
 use crate::pairing::PairingConfig;
 use crate::pairing::search::disparity_px;
@@ -71,6 +72,7 @@ fn calibration() -> StereoCalibration {
         rotation,
         translation_m: rotation * DVec3::new(-0.4, 0.008, 0.015),
         given: None,
+        disparity_correction: None,
     };
     StereoCalibration::new(parts, None).unwrap()
 }

@@ -2,15 +2,47 @@
 
 use std::path::Path;
 
+use serde::Serialize;
+
 use super::super::copy;
 use super::super::report::ExportReport;
 use super::super::target::{begin_export, image_stem, write_frames};
-use super::{BoxExtra, CocoAnnotation, CocoCategory, CocoFile, CocoImage, FileExtra, ImageExtra};
+use super::lenient::Id;
+use super::{BoxExtra, CocoCategory, FileExtra, ImageExtra};
 use crate::dataset::{BoxKind, Frame, Label, Split, StereoDataset};
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::{Camera, PixelBox};
 use crate::progress::Progress;
+
+/// A file of annotations as it is written.
+#[derive(Debug, Serialize)]
+struct CocoFile {
+    images: Vec<CocoImage>,
+    annotations: Vec<CocoAnnotation>,
+    categories: Vec<CocoCategory>,
+    twinsight: FileExtra,
+}
+
+#[derive(Debug, Serialize)]
+struct CocoImage {
+    id: u64,
+    file_name: String,
+    width: u32,
+    height: u32,
+    twinsight: ImageExtra,
+}
+
+#[derive(Debug, Serialize)]
+struct CocoAnnotation {
+    id: u64,
+    image_id: u64,
+    category_id: u64,
+    bbox: [f64; 4],
+    area: f64,
+    iscrowd: u8,
+    twinsight: BoxExtra,
+}
 
 /// Writes a dataset as COCO annotations, one file a split, and a folder `images`.
 ///
@@ -46,14 +78,14 @@ pub fn export(
             categories: (1..)
                 .zip(dataset.classes())
                 .map(|(id, name)| CocoCategory {
-                    id,
+                    id: Id::number(id),
                     name: name.clone(),
                 })
                 .collect(),
-            twinsight: Some(FileExtra {
+            twinsight: FileExtra {
                 kind,
                 rig: dataset.info.stereo.then(|| (*dataset.rig()).into()),
-            }),
+            },
         };
         for (frame, names) in frames {
             add_frame(dataset, frame, names, kind, &mut file);
@@ -96,14 +128,14 @@ fn add_frame(
             file_name: file_name.clone(),
             width: camera.width,
             height: camera.height,
-            twinsight: Some(ImageExtra {
+            twinsight: ImageExtra {
                 scene: row.scene,
                 sun: row.sun,
                 view: row.view,
                 azimuth_deg: row.azimuth_deg,
                 elevation_deg: row.elevation_deg,
                 distance_m: row.distance_m,
-            }),
+            },
         });
         for label in image.labels_of(kind) {
             let id = file.annotations.len() as u64 + 1;
@@ -129,15 +161,15 @@ fn annotation(label: &Label, id: u64, image_id: u64, camera: &Camera) -> CocoAnn
         id,
         image_id,
         category_id: u64::from(label.class) + 1,
-        bbox: bbox.map(short).to_vec(),
+        bbox: bbox.map(short),
         area: short(inside.area()),
         iscrowd: u8::from(label.ignored),
-        twinsight: Some(BoxExtra {
+        twinsight: BoxExtra {
             vehicle: label.id,
             distance_m: label.distance_m,
             visible: label.visible,
             center: label.center_pixel,
             edges: [x_min, y_min, x_max, y_max],
-        }),
+        },
     }
 }

@@ -7,114 +7,160 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::super::copy;
-use super::super::draft::{Draft, DraftFrame, ImportTarget, stamps};
-use super::super::report::ImportReport;
+use super::super::draft::{Draft, DraftFrame, stamps};
+use super::super::importer::Importer;
+use super::super::options::ImportOptions;
 use super::super::vehicle::{self, Sighting};
 use super::super::{ClassMap, image_files};
 use super::calib::Calibration;
 use super::objects::{DONT_CARE, Object};
+use super::single::{LeftImage, Single};
 use crate::dataset::{BoxKind, Label, Problem, Split};
 use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::{Cuboid, StereoRig};
-use crate::progress::Progress;
-
-/// How a KITTI folder is read.
-#[derive(Debug, Clone, PartialEq)]
-pub struct KittiOptions {
-    /// The folder that holds `training`, or `training` itself.
-    pub source: PathBuf,
-    /// KITTI was recorded with several calibrations and a dataset has one rig: 1 takes the frames
-    /// of the most common calibration, 2 of the next, and so on.
-    pub rig: usize,
-    /// Vehicles that are hidden more than this are ignored: 0 not at all, 1 partly, 2 largely.
-    pub most_occluded: u8,
-    /// Vehicles of which a larger part lies outside the image are ignored.
-    pub most_truncated: f64,
-}
-
-impl KittiOptions {
-    /// The options of KITTI's own hardest level: ignored are vehicles hidden to an unknown degree
-    /// or more than half outside the image.
-    pub fn new(source: impl Into<PathBuf>) -> Self {
-        Self {
-            source: source.into(),
-            rig: 1,
-            most_occluded: 2,
-            most_truncated: 0.5,
-        }
-    }
-}
 
 /// A frame as its files say it.
-struct Found {
-    name: String,
-    images: [PathBuf; 2],
-    sizes: [[u32; 2]; 2],
-    calibration: Calibration,
-    objects: Vec<Object>,
+pub(super) struct Found {
+    pub name: String,
+    pub images: [PathBuf; 2],
+    pub sizes: [[u32; 2]; 2],
+    pub calibration: Calibration,
+    pub objects: Vec<Object>,
     /// Boxes in the right image by the object's number.
-    right: Vec<Option<Object>>,
+    pub right: Vec<Option<Object>>,
+    /// The objects' numbers where the source has them.
+    pub ids: Option<Vec<u32>>,
+    /// The number of its sequence.
+    pub scene: Option<u32>,
 }
 
-/// Imports a KITTI object detection folder.
-///
-/// # Errors
-/// A folder that is not KITTI's, a target that is occupied, or no usable frame.
-pub fn import(
-    options: &KittiOptions,
-    target: &ImportTarget,
-    progress: &dyn Progress,
-) -> Result<ImportReport> {
-    let training = training_folder(&options.source)?;
-    let names: Vec<String> = image_files(&training.join("image_2"))?
-        .into_keys()
-        .collect();
-    let right_images = image_files(&training.join("image_3"))?;
-    let left_images = image_files(&training.join("image_2"))?;
-    let outcomes: Vec<Result<Found, Problem>> = names
-        .par_iter()
-        .map(|name| {
-            let image = |images: &BTreeMap<String, PathBuf>, folder: &str| {
-                let path = images.get(name).cloned();
-                path.ok_or_else(|| format!("has no image in {folder}"))
-            };
-            image(&left_images, "image_2")
-                .and_then(|left| Ok([left, image(&right_images, "image_3")?]))
-                .and_then(|images| read_frame(&training, name, images))
-                .map_err(|reason| Problem {
-                    subject: name.clone(),
-                    reason,
-                })
-        })
-        .collect();
-    let mut problems = Vec::new();
-    let mut found = Vec::new();
-    for outcome in outcomes {
-        match outcome {
-            Ok(frame) => found.push(frame),
-            Err(problem) => problems.push(problem),
-        }
+/// KITTI's object detection folder.
+pub(in super::super) struct Objects;
+
+impl Importer for Objects {
+    fn word(&self) -> &'static str {
+        "kitti"
     }
+
+    fn name(&self) -> &'static str {
+        "KITTI's objects"
+    }
+
+    fn layout(&self) -> &'static str {
+        "training/image_2/000000.png, image_3, calib, label_2/000000.txt"
+    }
+
+    fn matches(&self, source: &Path) -> bool {
+        training_folder(source).is_ok_and(|training| training.join("label_2").is_dir())
+    }
+
+    fn read(
+        &self,
+        source: &Path,
+        classes: Option<&ClassMap>,
+        options: &ImportOptions,
+    ) -> Result<Draft> {
+        let training = training_folder(source)?;
+        let splits = image_sets(&training)?;
+        let classes = wanted_classes(classes);
+        let mut problems = Vec::new();
+        let left_images = image_files(&training.join("image_2"), &mut problems)?;
+        let missing = ["image_3", "calib"]
+            .into_iter()
+            .find(|folder| !training.join(folder).is_dir());
+        if let Some(missing) = missing {
+            let reason = format!("there is no folder {missing}");
+            let single = Single {
+                reason,
+                splits,
+                classes,
+                options,
+            };
+            return single.draft(source, left_only(&training, left_images), problems);
+        }
+        let right_images = image_files(&training.join("image_3"), &mut problems)?;
+        let outcomes: Vec<Result<Found, Problem>> = left_images
+            .par_iter()
+            .map(|(name, left)| {
+                let right = right_images.get(name).cloned();
+                right
+                    .ok_or_else(|| "has no image in image_3".to_owned())
+                    .and_then(|right| read_frame(&training, name, [left.clone(), right]))
+                    .map_err(|reason| Problem {
+                        subject: name.clone(),
+                        reason,
+                    })
+            })
+            .collect();
+        let mut found = Vec::new();
+        for outcome in outcomes {
+            match outcome {
+                Ok(frame) => found.push(frame),
+                Err(problem) => problems.push(problem),
+            }
+        }
+        let mut objects = found
+            .iter()
+            .flat_map(|frame| &frame.objects)
+            .filter(|object| classes.index_of(&object.class).is_some())
+            .peekable();
+        if objects.peek().is_some() && objects.all(|object| object.cuboid.is_none()) {
+            let reason = "no label says where its object is in space".to_owned();
+            let single = Single {
+                reason,
+                splits,
+                classes,
+                options,
+            };
+            // They are all read again, and named again.
+            return single.draft(source, left_only(&training, left_images), Vec::new());
+        }
+        stereo_draft(source, found, classes, options, &splits, problems)
+    }
+}
+
+/// The left images with their labels.
+fn left_only(training: &Path, images: BTreeMap<String, PathBuf>) -> Vec<LeftImage> {
+    let of = |(name, path): (String, PathBuf)| LeftImage {
+        objects: read_objects(training, "label_2", &name),
+        name,
+        path,
+        scene: None,
+    };
+    images.into_iter().map(of).collect()
+}
+
+/// The wanted classes, or all cars as one.
+pub(in super::super) fn wanted_classes(classes: Option<&ClassMap>) -> ClassMap {
+    classes
+        .cloned()
+        .unwrap_or_else(|| ClassMap::merged("car", &["Car", "Van", "Truck"]))
+}
+
+/// A dataset of the pairs of one rig.
+pub(super) fn stereo_draft(
+    source: &Path,
+    found: Vec<Found>,
+    classes: ClassMap,
+    options: &ImportOptions,
+    splits: &BTreeMap<String, Split>,
+    mut problems: Vec<Problem>,
+) -> Result<Draft> {
     let (found, size) = of_one_rig(found, options, &mut problems)?;
     let Some(first) = found.first() else {
         let reason = if problems.is_empty() {
-            "image_2 holds no images".to_owned()
+            "there are no images".to_owned()
         } else {
             Problem::summary(&problems)
         };
         return Err(Error::dataset(
-            &options.source,
+            source,
             format!("gives no usable frame: {reason}"),
-            "repair what is named, or check that it is KITTI's object detection folder",
+            "repair what is named, or check that it is KITTI's folder of objects or tracks",
         ));
     };
     let rig = first.calibration.rig(size)?;
-    let classes = target
-        .classes
-        .clone()
-        .unwrap_or_else(|| ClassMap::merged("car", &["Car", "Van", "Truck"]));
-    let splits = image_sets(&training)?;
     let stamps = stamps(&found.iter().map(|f| f.name.clone()).collect::<Vec<_>>());
     let sized = found.iter().flat_map(|frame| &frame.objects);
     let has_spheres = sized
@@ -123,7 +169,7 @@ pub fn import(
     let frames = found
         .into_iter()
         .zip(stamps)
-        .map(|(found, stamp)| draft(found, stamp, &rig, &classes, options, &splits))
+        .map(|(found, stamp)| draft(found, stamp, &rig, &classes, options, splits))
         .collect();
     let kinds = if has_spheres {
         vec![BoxKind::Sphere, BoxKind::Tight]
@@ -132,16 +178,17 @@ pub fn import(
     };
     let mut draft = Draft {
         program: "twinsight import kitti",
-        source: options.source.clone(),
+        source: source.to_path_buf(),
         classes: classes.names(),
         kinds,
         rig,
         stereo: true,
         frames,
         problems,
+        unlabelled: 0,
     };
     draft.keep_kinds();
-    draft.write(target, progress)
+    Ok(draft)
 }
 
 fn training_folder(source: &Path) -> Result<PathBuf> {
@@ -188,10 +235,16 @@ fn read_frame(training: &Path, name: &str, images: [PathBuf; 2]) -> Result<Found
         calibration,
         objects,
         right,
+        ids: None,
+        scene: None,
     })
 }
 
-fn read_objects(training: &Path, folder: &str, name: &str) -> Result<Vec<Object>, String> {
+pub(super) fn read_objects(
+    training: &Path,
+    folder: &str,
+    name: &str,
+) -> Result<Vec<Object>, String> {
     let path = training.join(folder).join(format!("{name}.txt"));
     let text = files::read_text(&path).map_err(|error| error.to_string())?;
     Object::parse_file(&text, &format!("{folder}/{name}.txt"))
@@ -200,7 +253,7 @@ fn read_objects(training: &Path, folder: &str, name: &str) -> Result<Vec<Object>
 /// The frames of one calibration, and the size that holds all their images.
 fn of_one_rig(
     found: Vec<Found>,
-    options: &KittiOptions,
+    options: &ImportOptions,
     problems: &mut Vec<Problem>,
 ) -> Result<(Vec<Found>, [u32; 2])> {
     let mut rigs: BTreeMap<Vec<i64>, Vec<Found>> = BTreeMap::new();
@@ -243,13 +296,15 @@ fn draft(
     stamp: u64,
     rig: &StereoRig,
     classes: &ClassMap,
-    options: &KittiOptions,
+    options: &ImportOptions,
     splits: &BTreeMap<String, Split>,
 ) -> DraftFrame {
     let mut sides = [Vec::new(), Vec::new()];
     let mut judged: Vec<Cuboid> = Vec::new();
     let mut rows = Vec::new();
-    for (id, (object, right)) in (0..).zip(found.objects.iter().zip(&found.right)) {
+    let ids = found.ids.clone();
+    let ids = ids.unwrap_or_else(|| (0..found.objects.len() as u32).collect());
+    for (id, (object, right)) in ids.into_iter().zip(found.objects.iter().zip(&found.right)) {
         if object.class == DONT_CARE {
             sides[0].extend(region(object, id));
             continue;
@@ -287,6 +342,7 @@ fn draft(
     let split = splits.get(&found.name).copied();
     let mut frame = DraftFrame::new(found.name, stamp, found.images.to_vec(), sides.to_vec());
     frame.split = split;
+    frame.row.scene = found.scene;
     frame.objects = rows;
     vehicle::describe(&mut frame, &judged);
     frame

@@ -27,8 +27,9 @@ impl Object {
     /// Reads a line; the reason against it in words.
     pub fn parse(line: &str) -> Result<Self, String> {
         let words: Vec<&str> = line.split_whitespace().collect();
-        // Results of detectors have a score as the last word.
-        if words.len() != 15 && words.len() != 16 {
+        // Boxes in the image alone end behind them; results of detectors have a score as the last
+        // word.
+        if ![8, 15, 16].contains(&words.len()) {
             return Err(format!("has {} words, not 15", words.len()));
         }
         let names = [
@@ -47,7 +48,10 @@ impl Object {
             "z",
             "rotation_y",
         ];
-        let mut numbers = [0.0; 14];
+        // What is not there is as unknown as KITTI writes it.
+        let mut numbers = [
+            0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, -1.0, -1.0, -1000.0, -1000.0, -1000.0, -10.0,
+        ];
         for (number, (word, name)) in numbers.iter_mut().zip(words[1..].iter().zip(names)) {
             *number = finite(word, name)?;
         }
@@ -79,9 +83,11 @@ impl Object {
             ));
         }
         let sizes = [height_m, width_m, length_m];
-        // KITTI writes -1 for unknown sizes and -1000 for an unknown place.
-        let without_size = sizes.iter().all(|&size| size == -1.0);
-        let without_place = [x, y, z].iter().all(|&v| v == -1000.0);
+        // KITTI writes -1 for unknown sizes and -1000 for an unknown place; others write 0 for all.
+        let all = |numbers: &[f64], value: f64| numbers.iter().all(|&number| number == value);
+        let place = [x, y, z];
+        let without_size = all(&sizes, -1.0) || all(&sizes, 0.0);
+        let without_place = all(&place, -1000.0) || (without_size && all(&place, 0.0));
         if !without_size && sizes.iter().any(|&size| size <= 0.0) {
             return Err(format!(
                 "the size {height_m} x {width_m} x {length_m} m is not positive"
@@ -189,6 +195,20 @@ mod tests {
         let object = Object::parse(placed).unwrap();
         assert_eq!(object.cuboid.unwrap().center_camera, [2.5, 1.75, 20.0]);
         assert_eq!(object.to_line(), placed);
+    }
+
+    #[test]
+    fn lines_of_boxes_in_the_image_alone_say_nothing_of_space() {
+        for line in [
+            "car 0.00 0 0.00 100.25 50 200.5 90 0.00 0.00 0.00 0.00 0.00 0.00 0.00",
+            "car 0 0 -10 100.25 50 200.5 90 -1 -1 -1 -1000 -1000 -1000 -10",
+            "car 0 0 -10 100.25 50 200.5 90 -1 -1 -1 -1000 -1000 -1000 -10 0.98",
+            "car 0 0 0 100.25 50 200.5 90",
+        ] {
+            let object = Object::parse(line).unwrap();
+            assert_eq!(object.box_pixel, PixelBox::new(100.75, 50.5, 201.0, 90.5));
+            assert_eq!((object.cuboid, object.occluded), (None, 0), "{line}");
+        }
     }
 
     #[test]

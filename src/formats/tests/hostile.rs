@@ -21,8 +21,14 @@ fn kitti_with(spoil: impl FnOnce(&Place)) -> (Place, Result<ImportReport>) {
         place.write(&format!("kitti/training/label_2/{id:06}.txt"), CAR);
     }
     spoil(&place);
-    let options = kitti::KittiOptions::new(place.path("kitti"));
-    let report = kitti::import(&options, &place.target("out"), &Silent);
+    let options = (place.path("kitti"), ImportOptions::default());
+    let report = import(
+        "kitti",
+        &options.0,
+        &options.1,
+        &place.target("out"),
+        &Silent,
+    );
     (place, report)
 }
 
@@ -101,17 +107,17 @@ fn without_a_usable_frame_an_import_fails_and_says_why() {
     let place = Place::new();
     fs::create_dir(place.path("empty")).unwrap();
     let target = place.target("out");
-    let options = kitti::KittiOptions::new(place.path("empty"));
-    let message = kitti::import(&options, &target, &Silent)
+    let options = (place.path("empty"), ImportOptions::default());
+    let message = import("kitti", &options.0, &options.1, &target, &Silent)
         .unwrap_err()
         .to_string();
     assert!(message.contains("training/image_2"), "{message}");
-    let options = vkitti2::Vkitti2Options {
-        source: place.path("empty"),
-        variants: Vec::new(),
+    let options = ImportOptions {
         least_visible: 0.2,
+        ..ImportOptions::default()
     };
-    let message = vkitti2::import(&options, &target, &Silent)
+    let source = place.path("empty");
+    let message = import("vkitti2", &source, &options, &target, &Silent)
         .unwrap_err()
         .to_string();
     assert!(message.contains("Scene01"), "{message}");
@@ -120,17 +126,20 @@ fn without_a_usable_frame_an_import_fails_and_says_why() {
 #[test]
 fn what_is_no_data_yaml_and_no_coco_is_refused_by_name() {
     let place = Place::new();
-    let options = HeapOptions::default();
+    let options = ImportOptions::default();
     for (text, why) in [
         ("- a\n- b\n", "is no data.yaml"),
         ("train: [\n", "is no data.yaml"),
         ("names: [car]\n", "names no images"),
         ("train: nowhere\nnames: [car]\n", "nowhere"),
-        ("names: 7\ntrain: images\n", "is no data.yaml"),
+        (
+            "names: 7\ntrain: images\n",
+            "is no data.yaml: `names` is neither",
+        ),
     ] {
         place.write("yolo/data.yaml", text);
         let source = place.path("yolo");
-        let result = yolo::import(&source, &options, &place.target("out"), &Silent);
+        let result = import("yolo", &source, &options, &place.target("out"), &Silent);
         let message = result.unwrap_err().to_string();
         assert!(message.contains(why), "{text}: {message}");
     }
@@ -143,7 +152,7 @@ fn what_is_no_data_yaml_and_no_coco_is_refused_by_name() {
     ] {
         place.write("a.json", text);
         let source = place.path("a.json");
-        let result = coco::import(&source, None, &options, &place.target("out"), &Silent);
+        let result = import("coco", &source, &options, &place.target("out"), &Silent);
         let message = result.unwrap_err().to_string();
         assert!(message.contains("is not COCO's"), "{text}: {message}");
     }
@@ -166,9 +175,9 @@ fn damaged_labels_of_yolo_and_coco_leave_their_images_out() {
         place.write(&format!("yolo/labels/{i}.txt"), label);
     }
     place.write("yolo/data.yaml", "train: images\nnames: {0: car}\n");
-    let options = HeapOptions::default();
+    let options = ImportOptions::default();
     let source = place.path("yolo");
-    let report = yolo::import(&source, &options, &place.target("out"), &Silent).unwrap();
+    let report = import("yolo", &source, &options, &place.target("out"), &Silent).unwrap();
     assert_eq!(report.frames(), 1);
     let found = reasons(&report);
     for why in ["1.txt line 1: has 1 numbers", "class 9 has no name", "NaN"] {
@@ -184,17 +193,15 @@ fn damaged_labels_of_yolo_and_coco_leave_their_images_out() {
     place.write("a.json", json);
     let images = place.path("yolo/images");
     let target = place.target("coco");
-    let report = coco::import(
-        &place.path("a.json"),
-        Some(&images),
-        &options,
-        &target,
-        &Silent,
-    );
+    let options = ImportOptions {
+        images: Some(images),
+        ..options
+    };
+    let report = import("coco", &place.path("a.json"), &options, &target, &Silent);
     let report = report.unwrap();
     assert_eq!(report.frames(), 1);
     let found = reasons(&report);
-    for why in ["empty or outside", "annotations say 640x48", "not there"] {
+    for why in ["empty or inverted", "annotations say 640x48", "not there"] {
         assert!(found.contains(why), "{found}");
     }
 }
@@ -212,13 +219,13 @@ fn unknown_classes_and_pairs_without_a_rig_are_errors_that_say_what_to_do() {
     place.write("yolo/data.yaml", "train: images\nnames: {0: car}\n");
     let source = place.path("yolo");
     let mut target = place.target("out");
-    let mut options = HeapOptions::default();
-    let message = yolo::import(&source, &options, &target, &Silent)
+    let mut options = ImportOptions::default();
+    let message = import("yolo", &source, &options, &target, &Silent)
         .unwrap_err()
         .to_string();
     assert!(message.contains("--baseline-m and --hfov-deg"), "{message}");
     target.classes = Some("truck".parse().unwrap());
-    let message = yolo::import(&source, &options, &target, &Silent)
+    let message = import("yolo", &source, &options, &target, &Silent)
         .unwrap_err()
         .to_string();
     assert!(
@@ -227,14 +234,15 @@ fn unknown_classes_and_pairs_without_a_rig_are_errors_that_say_what_to_do() {
     );
     target.classes = None;
     (options.baseline_m, options.hfov_deg) = (Some(0.5), Some(60.0));
-    yolo::import(&source, &options, &target, &Silent).unwrap();
+    options.distance_column = true;
+    import("yolo", &source, &options, &target, &Silent).unwrap();
     let dataset = place.open("out");
     assert_eq!(
         dataset.frames[0].vehicles(BoxKind::Tight)[0].distance_m,
         12.5
     );
     // The folder now holds a dataset, which nothing overwrites.
-    let message = yolo::import(&source, &options, &target, &Silent)
+    let message = import("yolo", &source, &options, &target, &Silent)
         .unwrap_err()
         .to_string();
     assert!(message.contains("never overwritten"), "{message}");
@@ -247,12 +255,12 @@ fn unknown_classes_and_pairs_without_a_rig_are_errors_that_say_what_to_do() {
 #[test]
 fn frames_that_a_table_does_not_list_and_tables_without_sense_are_named() {
     let (place, _) = kitti_with(|_| ());
-    let options = kitti::KittiOptions::new(place.path("kitti"));
+    let options = (place.path("kitti"), ImportOptions::default());
     let import = |name: &str, table: &str| {
         place.write("table.csv", table);
         let mut target = place.target(name);
         target.splits.table = Some(place.path("table.csv"));
-        kitti::import(&options, &target, &Silent)
+        import("kitti", &options.0, &options.1, &target, &Silent)
     };
     let report = import("part", "id,split\n0,val\n000001,train\n").unwrap();
     assert_eq!((report.counts.train, report.counts.val), (1, 1));

@@ -41,8 +41,8 @@ fn coco_holds_everything_of_one_kind_of_box() {
         assert_eq!((report.images, report.boxes), (20, 40));
         let target = place.target("back");
         let source = place.path("coco");
-        let options = HeapOptions::default();
-        coco::import(&source, None, &options, &target, &Silent).unwrap();
+        let options = ImportOptions::default();
+        import("coco", &source, &options, &target, &Silent).unwrap();
         let back = place.open("back");
         assert_eq!(back.info.rig, dataset.info.rig);
         assert_eq!(back.info.classes, dataset.info.classes);
@@ -70,9 +70,9 @@ fn yolo_holds_boxes_classes_splits_and_with_a_sixth_number_distances() {
         assert_eq!((report.images, report.boxes), (20, 34));
         // The second vehicle of every third frame, in both images.
         assert_eq!(report.left_out.len(), 6);
-        let options = HeapOptions::default();
+        let options = ImportOptions::default();
         let source = place.path("yolo");
-        yolo::import(&source, &options, &place.target("back"), &Silent).unwrap();
+        import("yolo", &source, &options, &place.target("back"), &Silent).unwrap();
         let back = place.open("back");
         assert_eq!(back.info.rig, dataset.info.rig);
         assert_eq!(back.info.label_kinds, [kind]);
@@ -114,8 +114,8 @@ fn kitti_holds_places_boxes_splits_and_what_is_ignored() {
         kitti::export(&dataset, kind, &place.path("kitti"), &Silent).unwrap();
         let mut target = place.target("back");
         target.classes = Some(ClassMap::identity(dataset.info.classes.clone()));
-        let options = kitti::KittiOptions::new(place.path("kitti"));
-        let report = kitti::import(&options, &target, &Silent).unwrap();
+        let options = (place.path("kitti"), ImportOptions::default());
+        let report = import("kitti", &options.0, &options.1, &target, &Silent).unwrap();
         assert_eq!((report.vehicles, report.ignored), (20, 3));
         let back = place.open("back");
         assert!((back.rig().baseline_m - dataset.rig().baseline_m).abs() < 1e-9);
@@ -150,12 +150,12 @@ fn single_images_go_out_and_come_back_and_train_no_distance() {
     let (fixture, place) = (Fixture::lawful(5), Place::new());
     let dataset = fixture.open();
     yolo::export(&dataset, BoxKind::Tight, true, &place.path("yolo"), &Silent).unwrap();
-    let options = HeapOptions {
+    let options = ImportOptions {
         single: true,
-        ..HeapOptions::default()
+        ..ImportOptions::default()
     };
     let source = place.path("yolo");
-    let report = yolo::import(&source, &options, &place.target("single"), &Silent).unwrap();
+    let report = import("yolo", &source, &options, &place.target("single"), &Silent).unwrap();
     assert_eq!(report.frames(), 10);
     let single = place.open("single");
     assert!(!single.info.stereo);
@@ -169,13 +169,13 @@ fn single_images_go_out_and_come_back_and_train_no_distance() {
     assert!(kitti::export(&single, BoxKind::Tight, &place.path("k"), &Silent).is_err());
     for (format, name) in [("coco", "coco2"), ("yolo", "yolo2")] {
         let (out, back) = (place.path(name), format!("{name}-back"));
-        let (target, options) = (place.target(&back), HeapOptions::default());
+        let (target, options) = (place.target(&back), ImportOptions::default());
         if format == "coco" {
             coco::export(&single, BoxKind::Tight, &out, &Silent).unwrap();
-            coco::import(&out, None, &options, &target, &Silent).unwrap();
+            import("coco", &out, &options, &target, &Silent).unwrap();
         } else {
             yolo::export(&single, BoxKind::Tight, true, &out, &Silent).unwrap();
-            yolo::import(&out, &options, &target, &Silent).unwrap();
+            import("yolo", &out, &options, &target, &Silent).unwrap();
         }
         let back = place.open(&back);
         assert!(!back.info.stereo);

@@ -36,7 +36,7 @@ fn car(x: f64, z: f64) -> String {
 }
 
 /// A KITTI folder of four frames.
-fn kitti_folder(place: &Place) -> kitti::KittiOptions {
+fn kitti_folder(place: &Place) -> (PathBuf, ImportOptions) {
     for id in 0..4_u32 {
         let name = format!("{id:06}");
         let z = 12.0 + 3.0 * f64::from(id);
@@ -63,14 +63,21 @@ fn kitti_folder(place: &Place) -> kitti::KittiOptions {
             &lines.join("\n"),
         );
     }
-    kitti::KittiOptions::new(place.path("kitti"))
+    (place.path("kitti"), ImportOptions::default())
 }
 
 #[test]
 fn kitti_becomes_a_sound_dataset_whose_numbers_are_those_of_the_geometry() {
     let place = Place::new();
     let options = kitti_folder(&place);
-    let report = kitti::import(&options, &place.target("out"), &Silent).unwrap();
+    let report = import(
+        "kitti",
+        &options.0,
+        &options.1,
+        &place.target("out"),
+        &Silent,
+    )
+    .unwrap();
     assert_eq!(report.frames(), 4);
     // The truncated van and the region are ignored, the tram is no vehicle of ours.
     assert_eq!(
@@ -114,13 +121,20 @@ fn kitti_becomes_a_sound_dataset_whose_numbers_are_those_of_the_geometry() {
 fn kitti_goes_out_and_comes_back_with_sizes_and_both_kinds_of_box() {
     let place = Place::new();
     let options = kitti_folder(&place);
-    kitti::import(&options, &place.target("first"), &Silent).unwrap();
+    import(
+        "kitti",
+        &options.0,
+        &options.1,
+        &place.target("first"),
+        &Silent,
+    )
+    .unwrap();
     let first = place.open("first");
     kitti::export(&first, BoxKind::Tight, &place.path("again"), &Silent).unwrap();
     let mut target = place.target("second");
     target.classes = Some("car".parse().unwrap());
-    let options = kitti::KittiOptions::new(place.path("again"));
-    kitti::import(&options, &target, &Silent).unwrap();
+    let options = (place.path("again"), ImportOptions::default());
+    import("kitti", &options.0, &options.1, &target, &Silent).unwrap();
     let second = place.open("second");
     assert_eq!(first.info.label_kinds, second.info.label_kinds);
     let objects =
@@ -160,7 +174,14 @@ fn boxes_of_label_3_are_taken_where_their_disparity_is_possible() {
             words[i] = (edge - shift).to_string();
         }
         place.write("kitti/training/label_3/000000.txt", &words.join(" "));
-        kitti::import(&options, &place.target(name), &Silent).unwrap();
+        import(
+            "kitti",
+            &options.0,
+            &options.1,
+            &place.target(name),
+            &Silent,
+        )
+        .unwrap();
         let frame = place.open(name).frames[0].clone();
         let vehicle = &frame.vehicles(BoxKind::Tight)[0];
         vehicle.left.box_pixel.x_min - vehicle.right.box_pixel.x_min
@@ -177,7 +198,14 @@ fn frames_of_another_calibration_are_named_and_make_a_dataset_of_their_own() {
     place.write("kitti/training/calib/000002.txt", &calibration(352.0));
     place.image("kitti/training/image_2/000003.png", [612, 185], 9);
     place.image("kitti/training/image_3/000003.jpg", [612, 185], 8);
-    let report = kitti::import(&options, &place.target("first"), &Silent).unwrap();
+    let report = import(
+        "kitti",
+        &options.0,
+        &options.1,
+        &place.target("first"),
+        &Silent,
+    )
+    .unwrap();
     assert_eq!(report.frames(), 3);
     assert!(reasons(&report).contains("000002: has another rig, focal length 352.00 px"));
     // The smaller images are filled up, and nothing about their pixels changes.
@@ -185,11 +213,25 @@ fn frames_of_another_calibration_are_named_and_make_a_dataset_of_their_own() {
     let images = dataset.frame(3).unwrap().load(dataset.rig()).unwrap();
     assert_eq!(images[0].dimensions(), (620, 188));
     assert_eq!(images[0].get_pixel(619, 10).0, [0, 0, 0]);
-    options.rig = 2;
-    let report = kitti::import(&options, &place.target("second"), &Silent).unwrap();
+    options.1.rig = 2;
+    let report = import(
+        "kitti",
+        &options.0,
+        &options.1,
+        &place.target("second"),
+        &Silent,
+    )
+    .unwrap();
     assert_eq!(report.frames(), 1);
-    options.rig = 3;
-    let error = kitti::import(&options, &place.target("third"), &Silent).unwrap_err();
+    options.1.rig = 3;
+    let error = import(
+        "kitti",
+        &options.0,
+        &options.1,
+        &place.target("third"),
+        &Silent,
+    )
+    .unwrap_err();
     assert!(error.to_string().contains("from 1 to 2"), "{error}");
 }
 
@@ -201,7 +243,7 @@ fn drives_of_a_table_are_never_split_and_lists_of_the_source_are_followed() {
     let mut target = place.target("drives");
     target.splits.table = Some(place.path("drives.csv"));
     target.splits.val_fraction = 0.5;
-    kitti::import(&options, &target, &Silent).unwrap();
+    import("kitti", &options.0, &options.1, &target, &Silent).unwrap();
     let dataset = place.open("drives");
     let split = |stamp| dataset.frame(stamp).unwrap().row.split;
     assert_eq!((split(0), split(1)), (split(2), split(3)));
@@ -217,8 +259,15 @@ fn drives_of_a_table_are_never_split_and_lists_of_the_source_are_followed() {
     }
     // Whether the folder is given or its `training`.
     for (source, name) in [("kitti", "lists"), ("kitti/training", "lists-of-training")] {
-        let options = kitti::KittiOptions::new(place.path(source));
-        kitti::import(&options, &place.target(name), &Silent).unwrap();
+        let options = (place.path(source), ImportOptions::default());
+        import(
+            "kitti",
+            &options.0,
+            &options.1,
+            &place.target(name),
+            &Silent,
+        )
+        .unwrap();
         let dataset = place.open(name);
         let splits: Vec<Split> = dataset.frames.iter().map(|frame| frame.row.split).collect();
         assert_eq!(
@@ -284,12 +333,12 @@ fn virtual_kitti_becomes_a_sound_dataset_with_its_scenes() {
         let info = "trackID label model color\n0 Car Ford Red\n3 Van VW Blue\n";
         place.write(&format!("{folder}/info.txt"), info);
     }
-    let options = vkitti2::Vkitti2Options {
-        source: place.path("vkitti"),
-        variants: Vec::new(),
+    let options = ImportOptions {
         least_visible: 0.25,
+        ..ImportOptions::default()
     };
-    let report = vkitti2::import(&options, &place.target("out"), &Silent).unwrap();
+    let source = place.path("vkitti");
+    let report = import("vkitti2", &source, &options, &place.target("out"), &Silent).unwrap();
     assert_eq!(
         (report.frames(), report.vehicles, report.ignored),
         (6, 12, 6)
@@ -311,11 +360,18 @@ fn virtual_kitti_becomes_a_sound_dataset_with_its_scenes() {
     // Boxes include their last pixel.
     assert_eq!(vehicle.left.box_pixel.y_max, 131.0);
     assert_sound(&place.path("out"));
-    let options = vkitti2::Vkitti2Options {
+    let options = ImportOptions {
         variants: vec!["sunset".to_owned()],
         ..options
     };
-    let report = vkitti2::import(&options, &place.target("sunset"), &Silent).unwrap();
+    let report = import(
+        "vkitti2",
+        &source,
+        &options,
+        &place.target("sunset"),
+        &Silent,
+    )
+    .unwrap();
     assert_eq!(report.frames(), 2);
 }
 
@@ -339,8 +395,8 @@ fn images_of_many_sizes_share_a_canvas_and_boxes_stay_on_their_pixels() {
         );
     }
     let source = place.path("yolo");
-    let options = HeapOptions::default();
-    yolo::import(&source, &options, &place.target("whole"), &Silent).unwrap();
+    let options = ImportOptions::default();
+    import("yolo", &source, &options, &place.target("whole"), &Silent).unwrap();
     let dataset = place.open("whole");
     assert_eq!(
         (dataset.rig().left.width, dataset.rig().left.height),
@@ -350,13 +406,13 @@ fn images_of_many_sizes_share_a_canvas_and_boxes_stay_on_their_pixels() {
     assert_eq!(first[0].box_pixel, PixelBox::new(50.0, 25.0, 150.0, 75.0));
     assert_eq!((first[1].class, first[1].distance_m), (1, None));
     assert_sound(&place.path("whole"));
-    let options = HeapOptions {
+    let options = ImportOptions {
         canvas: Some([100, 100]),
         ..options
     };
     let mut target = place.target("small");
     target.classes = Some("walker=a walker".parse().unwrap());
-    yolo::import(&source, &options, &target, &Silent).unwrap();
+    import("yolo", &source, &options, &target, &Silent).unwrap();
     let dataset = place.open("small");
     assert_eq!(dataset.info.classes, ["walker"]);
     let labels = &dataset.frames[0].left.labels;
@@ -381,8 +437,8 @@ fn crowds_of_coco_are_ignored_and_a_mostly_empty_canvas_is_refused() {
     place.write("coco/annotations/instances_val.json", json);
     let mut target = place.target("out");
     target.classes = Some("car".parse().unwrap());
-    let (source, options) = (place.path("coco"), HeapOptions::default());
-    let report = coco::import(&source, None, &options, &target, &Silent).unwrap();
+    let (source, options) = (place.path("coco"), ImportOptions::default());
+    let report = import("coco", &source, &options, &target, &Silent).unwrap();
     assert_eq!(
         (report.vehicles, report.ignored, report.counts.val),
         (2, 1, 1)
@@ -396,6 +452,17 @@ fn crowds_of_coco_are_ignored_and_a_mostly_empty_canvas_is_refused() {
     place.image("heap/images/huge.png", [900, 900], 3);
     place.write("heap/data.yaml", "train: images\nnames: [car]\n");
     let source = place.path("heap");
-    let error = yolo::import(&source, &options, &place.target("heap-out"), &Silent).unwrap_err();
+    let options = ImportOptions {
+        background: true,
+        ..options
+    };
+    let error = import(
+        "yolo",
+        &source,
+        &options,
+        &place.target("heap-out"),
+        &Silent,
+    )
+    .unwrap_err();
     assert!(error.to_string().contains("--size"), "{error}");
 }

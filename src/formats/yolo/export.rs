@@ -1,16 +1,32 @@
 //! YOLO out.
 
+use std::collections::BTreeMap;
 use std::path::Path;
+
+use serde::Serialize;
 
 use super::super::copy;
 use super::super::report::ExportReport;
 use super::super::target::{begin_export, image_stem, write_frames};
+use super::Extra;
 use super::label::YoloLabel;
-use super::{DataYaml, Extra, Names, Places};
 use crate::dataset::{BoxKind, Frame, Problem, Split, StereoDataset};
 use crate::error::{Error, Result};
 use crate::files;
 use crate::progress::Progress;
+
+/// `data.yaml`.
+#[derive(Debug, Serialize)]
+struct DataYaml {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    train: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    val: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    test: Option<String>,
+    names: BTreeMap<u32, String>,
+    twinsight: Extra,
+}
 
 /// Writes a dataset as YOLO's text files with a `data.yaml`; with `distance`, every line has the
 /// distance as a sixth number, which other programs may not accept.
@@ -49,18 +65,18 @@ pub fn export(
     }
     let place = |split: Split| {
         let is_used = used.contains(&split);
-        is_used.then(|| Places::One(format!("images/{split}")))
+        is_used.then(|| format!("images/{split}"))
     };
     let yaml = DataYaml {
-        path: None,
         train: place(Split::Train),
         val: place(Split::Val),
         test: place(Split::Test),
-        names: Names::Map((0..).zip(dataset.classes().iter().cloned()).collect()),
-        twinsight: Some(Extra {
+        names: (0..).zip(dataset.classes().iter().cloned()).collect(),
+        twinsight: Extra {
             rig: dataset.info.stereo.then(|| (*dataset.rig()).into()),
             kind,
-        }),
+            distance,
+        },
     };
     let path = out.join("data.yaml");
     let text = serde_saphyr::to_string(&yaml)

@@ -1,107 +1,119 @@
 //! YOLO in.
 
-use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Component, Path, PathBuf};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
 use super::super::copy;
-use super::super::draft::ImportTarget;
-use super::super::flat::{Heap, HeapImage, HeapObject, HeapOptions};
-use super::super::report::ImportReport;
-use super::super::{ClassMap, is_image};
-use super::label::YoloLabel;
-use super::{DataYaml, Names, Places};
+use super::super::draft::Draft;
+use super::super::flat::{Heap, HeapImage, HeapObject};
+use super::super::importer::Importer;
+use super::super::options::ImportOptions;
+use super::super::{ClassMap, skipped};
+use super::data_yaml::DataYaml;
+use super::images::{PlaceImages, images_at, label_places, name_in};
+use super::label::{Line, LineShape, YoloLabel};
 use crate::dataset::{BoxKind, Problem, Split};
-use crate::error::{Error, Result, yaml_problem};
+use crate::error::{Error, Result};
 use crate::files;
 use crate::geometry::{PixelBox, StereoRig};
-use crate::progress::Progress;
 
-/// Imports a YOLO dataset: `source` is its `data.yaml` or the folder that holds it.
-///
-/// Images whose names say left and right become pairs, all others single images. An image without
-/// a label file shows nothing.
-///
-/// # Errors
-/// A `data.yaml` that is none, classes that it does not name, a target that is occupied, or no
-/// usable image.
-pub fn import(
-    source: &Path,
-    options: &HeapOptions,
-    target: &ImportTarget,
-    progress: &dyn Progress,
-) -> Result<ImportReport> {
-    let path = yaml_path(source)?;
-    let folder = path.parent().unwrap_or(Path::new(".")).to_path_buf();
-    let yaml = read_yaml(&path)?;
-    let kind = yaml
-        .twinsight
-        .as_ref()
-        .map_or(BoxKind::Tight, |extra| extra.kind);
-    let present = yaml.names.all();
-    let classes = match &target.classes {
-        Some(classes) => classes.clone(),
-        None => ClassMap::identity(present.clone()),
-    };
-    if let Some(absent) = classes.absent(&present).first() {
-        return Err(Error::dataset(
-            &path,
-            format!("has no class '{absent}'"),
-            format!("choose among {}", present.join(", ")),
-        ));
+/// What is said of numbers behind the boxes.
+const CONFIDENCE: &str = "a sixth number is taken for a confidence and left out; where it is a \
+                          distance in metres, say --distance-column";
+
+/// YOLO's text files.
+pub(in super::super) struct Yolo;
+
+impl Importer for Yolo {
+    fn word(&self) -> &'static str {
+        "yolo"
     }
-    let places = [
-        (Split::Train, &yaml.train),
-        (Split::Val, &yaml.val),
-        (Split::Test, &yaml.test),
-    ];
-    let mut images: BTreeMap<PathBuf, Split> = BTreeMap::new();
-    for (split, places) in places {
-        let places = match places {
-            None => continue,
-            Some(Places::One(place)) => std::slice::from_ref(place),
-            Some(Places::Several(places)) => places,
+
+    fn name(&self) -> &'static str {
+        "YOLO"
+    }
+
+    fn layout(&self) -> &'static str {
+        "data.yaml with names and train, images/*.jpg, labels/*.txt"
+    }
+
+    fn matches(&self, source: &Path) -> bool {
+        let path = yaml_path(source).ok();
+        path.is_some_and(|path| path.is_file() && DataYaml::read(&path).is_ok())
+    }
+
+    /// Images whose names say left and right become pairs, all others single images. An image
+    /// without a label file shows nothing.
+    fn read(
+        &self,
+        source: &Path,
+        classes: Option<&ClassMap>,
+        options: &ImportOptions,
+    ) -> Result<Draft> {
+        let path = yaml_path(source)?;
+        let folder = path.parent().unwrap_or(Path::new(".")).to_path_buf();
+        let yaml = DataYaml::read(&path)?;
+        let present = yaml.class_names();
+        let classes = match classes {
+            Some(classes) => classes.clone(),
+            None => ClassMap::identity(present.clone()),
         };
-        for place in places {
-            for image in images_at(&folder, yaml.path.as_deref(), place)? {
-                // An image in several splits is learnt from: it can judge nothing.
-                images.entry(image).or_insert(split);
+        if let Some(absent) = classes.absent(&present).first() {
+            return Err(Error::dataset(
+                &path,
+                format!("has no class '{absent}'"),
+                format!("choose among {}", present.join(", ")),
+            ));
+        }
+        let mut problems = Vec::new();
+        let images = labelled_images(&folder, &yaml, options, &mut problems)?;
+        let reader = Reader {
+            kind: yaml
+                .twinsight
+                .as_ref()
+                .map_or(BoxKind::Tight, |extra| extra.kind),
+            shape: yaml.line_shape(options.distance_column),
+            names: &yaml.names,
+            classes: &classes,
+        };
+        let outcomes: Vec<Result<Read, Problem>> = images
+            .par_iter()
+            .map(|(path, image)| {
+                let name = name_in(&folder, path);
+                reader.read(path, &name, image).map_err(|reason| Problem {
+                    subject: name,
+                    reason,
+                })
+            })
+            .collect();
+        let mut heap = Heap {
+            program: "twinsight import yolo",
+            source: source.to_path_buf(),
+            classes: classes.names(),
+            kind: reader.kind,
+            rig: yaml
+                .twinsight
+                .as_ref()
+                .and_then(|extra| extra.rig)
+                .map(StereoRig::try_from)
+                .transpose()?,
+            images: Vec::new(),
+            problems,
+            unlabelled: images.values().filter(|i| i.labels.is_none()).count(),
+        };
+        for outcome in outcomes {
+            match outcome {
+                Ok(read) => {
+                    heap.problems.extend(read.problems);
+                    heap.images.push(read.image);
+                }
+                Err(problem) => heap.problems.push(problem),
             }
         }
+        heap.into_draft(options)
     }
-    let images: Vec<(PathBuf, Split)> = images.into_iter().collect();
-    let outcomes: Vec<Result<HeapImage, Problem>> = images
-        .par_iter()
-        .map(|(path, split)| {
-            let name = name_in(&folder, path);
-            read_image(path, &name, *split, &yaml.names, &classes, kind).map_err(|reason| Problem {
-                subject: name,
-                reason,
-            })
-        })
-        .collect();
-    let mut heap = Heap {
-        program: "twinsight import yolo",
-        source: source.to_path_buf(),
-        classes: classes.names(),
-        kind,
-        rig: yaml
-            .twinsight
-            .and_then(|extra| extra.rig)
-            .map(StereoRig::try_from)
-            .transpose()?,
-        images: Vec::new(),
-        problems: Vec::new(),
-    };
-    for outcome in outcomes {
-        match outcome {
-            Ok(image) => heap.images.push(image),
-            Err(problem) => heap.problems.push(problem),
-        }
-    }
-    heap.into_draft(options)?.write(target, progress)
 }
 
 /// The `data.yaml` of a folder, or its only YAML file.
@@ -109,11 +121,11 @@ fn yaml_path(source: &Path) -> Result<PathBuf> {
     if !source.is_dir() {
         return Ok(source.to_path_buf());
     }
-    let usual = source.join("data.yaml");
-    if usual.exists() {
+    let usual = ["data.yaml", "data.yml", "dataset.yaml"].map(|name| source.join(name));
+    if let Some(usual) = usual.into_iter().find(|path| path.exists()) {
         return Ok(usual);
     }
-    let entries = fs::read_dir(source).map_err(Error::io("read", source))?;
+    let entries = std::fs::read_dir(source).map_err(Error::io("read", source))?;
     let is_yaml = |path: &PathBuf| {
         path.extension()
             .is_some_and(|ending| ending == "yaml" || ending == "yml")
@@ -132,91 +144,80 @@ fn yaml_path(source: &Path) -> Result<PathBuf> {
     }
 }
 
-fn read_yaml(path: &Path) -> Result<DataYaml> {
-    let text = files::read_text(path)?;
-    let yaml: DataYaml = serde_saphyr::from_str(&text).map_err(|error| {
-        Error::dataset(
-            path,
-            format!("is no data.yaml: {}", yaml_problem(&error)),
-            "it needs `names` with the classes and `train` with the folder of images",
-        )
-    })?;
-    if yaml.train.is_none() && yaml.val.is_none() && yaml.test.is_none() {
-        return Err(Error::dataset(
-            path,
-            "names no images",
-            "it needs `train`, `val` or `test` with a folder of images",
-        ));
-    }
-    Ok(yaml)
+/// An image's split and label file.
+#[derive(Debug, Clone)]
+struct ListedImage {
+    split: Split,
+    labels: Option<PathBuf>,
 }
 
-/// All images at a place that `data.yaml` names: a folder, a list, or one image.
-fn images_at(folder: &Path, base: Option<&str>, place: &str) -> Result<Vec<PathBuf>> {
-    // Tools disagree about what a path is relative to, and some write one `..` too many.
-    let inner = Path::new(place)
-        .components()
-        .filter(|part| *part != Component::ParentDir)
-        .collect::<PathBuf>();
-    let candidates = [
-        folder.join(base.unwrap_or_default()).join(place),
-        folder.join(place),
-        folder.join(inner),
-    ];
-    let Some(found) = candidates.iter().find(|path| path.exists()) else {
-        return Err(Error::dataset(
-            folder,
-            format!("data.yaml names {place}, which is not there"),
-            "correct the path in it; it may be relative to data.yaml",
-        ));
-    };
-    if found.is_dir() {
-        let mut images = Vec::new();
-        collect_images(found, &mut images)?;
-        return Ok(images);
-    }
-    if is_image(found) {
-        return Ok(vec![found.clone()]);
-    }
-    let beside = found.parent().unwrap_or(folder);
-    let text = files::read_text(found)?;
-    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
-    Ok(lines.map(|line| beside.join(line)).collect())
-}
-
-fn collect_images(folder: &Path, images: &mut Vec<PathBuf>) -> Result<()> {
-    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
-        let path = entry.map_err(Error::io("read", folder))?.path();
-        if path.is_dir() {
-            collect_images(&path, images)?;
-        } else if is_image(&path) {
-            images.push(path);
+/// The images of all places with their labels. A place without any label file is an error, unless
+/// that is wanted; test images without labels, as contests have them, are left out.
+fn labelled_images(
+    folder: &Path,
+    yaml: &DataYaml,
+    options: &ImportOptions,
+    problems: &mut Vec<Problem>,
+) -> Result<BTreeMap<PathBuf, ListedImage>> {
+    let mut images: BTreeMap<PathBuf, ListedImage> = BTreeMap::new();
+    for (split, place) in &yaml.places {
+        let PlaceImages {
+            images: found,
+            skipped: others,
+            missing,
+        } = images_at(folder, yaml.path.as_deref(), place)?;
+        problems.extend(others.iter().map(|path| skipped(folder, path)));
+        problems.extend(
+            missing
+                .into_iter()
+                .map(|(subject, reason)| Problem { subject, reason }),
+        );
+        let labels: Vec<Option<PathBuf>> = found
+            .par_iter()
+            .map(|image| label_places(image).into_iter().find(|path| path.exists()))
+            .collect();
+        let is_labelled = labels.iter().any(Option::is_some);
+        if !found.is_empty() && !is_labelled && !options.background {
+            let looked = folders_looked_in(&found);
+            if *split == Split::Test {
+                problems.push(Problem {
+                    subject: format!("{} images of {place}", found.len()),
+                    reason: format!("have no label files in {looked}"),
+                });
+                continue;
+            }
+            return Err(Error::dataset(
+                folder,
+                format!(
+                    "has no label file for any of the {} images of {place}: looked in {looked}",
+                    found.len()
+                ),
+                "put the labels there, one .txt an image of its name; or say --background if there \
+                 is nothing in these images",
+            ));
+        }
+        for (image, labels) in found.into_iter().zip(labels) {
+            let split = *split;
+            // An image in several splits is learnt from: it can judge nothing.
+            images.entry(image).or_insert(ListedImage { split, labels });
         }
     }
-    Ok(())
+    Ok(images)
 }
 
-/// Where the labels of an image are: in `labels` where the image is in `images`, else beside it.
-fn label_path(image: &Path) -> PathBuf {
-    let parts: Vec<Component<'_>> = image.components().collect();
-    let last = parts.iter().rposition(|part| part.as_os_str() == "images");
-    let path: PathBuf = (0..)
-        .zip(parts)
-        .map(|(i, part)| match part {
-            _ if Some(i) == last => PathBuf::from("labels"),
-            part => PathBuf::from(part.as_os_str()),
-        })
+/// The folders in which labels of these images were looked for.
+fn folders_looked_in(images: &[PathBuf]) -> String {
+    const SHOWN: usize = 4;
+    let places = images.iter().flat_map(|image| label_places(image));
+    let folders: BTreeSet<PathBuf> = places
+        .filter_map(|path| path.parent().map(Path::to_path_buf))
         .collect();
-    path.with_extension("txt")
-}
-
-/// A path inside the dataset, with `/`.
-fn name_in(folder: &Path, path: &Path) -> String {
-    let inside = path.strip_prefix(folder).unwrap_or(path);
-    let parts = inside
-        .components()
-        .map(|part| part.as_os_str().to_string_lossy());
-    parts.collect::<Vec<_>>().join("/")
+    let shown = folders.iter().take(SHOWN);
+    let mut shown: Vec<String> = shown.map(|path| path.display().to_string()).collect();
+    if folders.len() > SHOWN {
+        shown.push(format!("{} more", folders.len() - SHOWN));
+    }
+    shown.join(" and ")
 }
 
 /// The square that was cut off at one border of the image, as YOLO's boxes are: as long as its other
@@ -241,57 +242,85 @@ fn whole_square(area: &PixelBox, [width, height]: [u32; 2]) -> PixelBox {
     whole
 }
 
-fn read_image(
-    path: &Path,
-    name: &str,
-    split: Split,
-    names: &Names,
-    classes: &ClassMap,
+/// What images are read with.
+struct Reader<'a> {
     kind: BoxKind,
-) -> Result<HeapImage, String> {
-    let size = copy::dimensions(path).map_err(|error| error.to_string())?;
-    let label_path = label_path(path);
-    let text = if label_path.exists() {
-        files::read_text(&label_path).map_err(|error| error.to_string())?
-    } else {
-        String::new()
-    };
-    let mut objects = Vec::new();
-    for (index, line) in text.lines().enumerate() {
-        if line.trim().is_empty() {
-            continue;
-        }
-        let object = YoloLabel::parse(line, size)
-            .and_then(|label| {
-                let name = names.get(label.class);
-                let name = name.ok_or_else(|| format!("class {} has no name", label.class))?;
-                Ok(classes.index_of(name).map(|class| HeapObject {
-                    class,
-                    box_pixel: match kind {
-                        BoxKind::Tight => label.box_pixel,
-                        BoxKind::Sphere => whole_square(&label.box_pixel, size),
-                    },
-                    distance_m: label.distance_m,
-                    ignored: false,
-                    id: None,
-                    center_pixel: None,
-                    visible: None,
-                }))
-            })
-            .map_err(|reason| {
-                let file = label_path.file_name().unwrap_or_default().to_string_lossy();
+    shape: LineShape,
+    names: &'a BTreeMap<u32, String>,
+    classes: &'a ClassMap,
+}
+
+/// An image, and lesser things that were left out of it.
+struct Read {
+    image: HeapImage,
+    problems: Vec<Problem>,
+}
+
+impl Reader<'_> {
+    fn read(&self, path: &Path, name: &str, listed: &ListedImage) -> Result<Read, String> {
+        let size = copy::dimensions(path).map_err(|error| error.to_string())?;
+        let text = match &listed.labels {
+            Some(path) => files::read_text(path).map_err(|error| error.to_string())?,
+            None => String::new(),
+        };
+        let mut objects = Vec::new();
+        let mut left_out: BTreeSet<&str> = BTreeSet::new();
+        for (index, line) in text.lines().enumerate() {
+            if line.trim().is_empty() {
+                continue;
+            }
+            let parsed = self.object(line, size).map_err(|reason| {
+                let file = listed.labels.as_deref().and_then(Path::file_name);
+                let file = file.unwrap_or_default().to_string_lossy();
                 format!("{file} line {}: {reason}", index + 1)
             })?;
-        objects.extend(object);
+            objects.extend(parsed.0);
+            left_out.extend(parsed.1);
+        }
+        let problem = |reason: &str| Problem {
+            subject: name.to_owned(),
+            reason: reason.to_owned(),
+        };
+        Ok(Read {
+            problems: left_out.into_iter().map(problem).collect(),
+            image: HeapImage {
+                path: path.to_path_buf(),
+                name: name.to_owned(),
+                size,
+                split: Some(listed.split),
+                row: None,
+                objects,
+                stored: false,
+            },
+        })
     }
-    Ok(HeapImage {
-        path: path.to_path_buf(),
-        name: name.to_owned(),
-        size,
-        split: Some(split),
-        row: None,
-        objects,
-    })
+
+    /// An object of a line, and what was left out of it.
+    fn object(
+        &self,
+        line: &str,
+        size: [u32; 2],
+    ) -> Result<(Option<HeapObject>, Option<&'static str>), String> {
+        let (label, has_confidence) = match YoloLabel::parse(line, self.shape, size)? {
+            Line::Object(label, has_confidence) => (label, has_confidence),
+            Line::Nothing(reason) => return Ok((None, Some(reason))),
+        };
+        let name = self.names.get(&label.class);
+        let name = name.ok_or_else(|| format!("class {} has no name", label.class))?;
+        let object = self.classes.index_of(name).map(|class| HeapObject {
+            class,
+            box_pixel: match self.kind {
+                BoxKind::Tight => label.box_pixel,
+                BoxKind::Sphere => whole_square(&label.box_pixel, size),
+            },
+            distance_m: label.distance_m,
+            ignored: false,
+            id: None,
+            center_pixel: None,
+            visible: None,
+        });
+        Ok((object, has_confidence.then_some(CONFIDENCE)))
+    }
 }
 
 #[cfg(test)]

@@ -24,7 +24,7 @@ const MISSING: f64 = 0.05;
 /// What `ffprobe` says of a video.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::sources) struct VideoInfo {
-    /// Width and height, pixels.
+    /// Width and height of a frame as it is shown, pixels.
     pub size: [u32; 2],
     /// Mean frames a second.
     pub rate_hz: Option<f64>,
@@ -48,6 +48,33 @@ struct ProbedStream {
     avg_frame_rate: String,
     nb_frames: String,
     duration: String,
+    side_data_list: Vec<ProbedSide>,
+    tags: ProbedTags,
+}
+
+/// What a stream says beside its pictures; only rotations matter here.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct ProbedSide {
+    /// Degrees, against the clock.
+    rotation: Option<f64>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct ProbedTags {
+    /// Degrees, of versions before 5.0.
+    rotate: String,
+}
+
+impl ProbedStream {
+    /// Whether players turn the pictures on their side.
+    fn is_on_its_side(&self) -> bool {
+        let side = self.side_data_list.iter().find_map(|side| side.rotation);
+        let degrees = side.or_else(|| self.tags.rotate.parse().ok());
+        // As exactly as the program itself asks before it turns by a quarter.
+        degrees.is_some_and(|degrees: f64| (degrees.rem_euclid(180.0) - 90.0).abs() < 1.0)
+    }
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -59,7 +86,8 @@ struct ProbedFormat {
 /// Looks at a video.
 pub(in crate::sources) fn probe(path: &Path) -> Result<VideoInfo> {
     std::fs::File::open(path).map_err(Error::io("read", path))?;
-    let entries = "stream=width,height,avg_frame_rate,nb_frames,duration:format=duration";
+    let entries = "stream=width,height,avg_frame_rate,nb_frames,duration:\
+                   stream_side_data=rotation:stream_tags=rotate:format=duration";
     let mut probe = command("ffprobe", ["-protocol_whitelist", PROTOCOLS]);
     probe
         .args(["-select_streams", "v:0", "-show_entries", entries])
@@ -85,7 +113,12 @@ pub(in crate::sources) fn probe(path: &Path) -> Result<VideoInfo> {
     let Some(stream) = probed.streams.first() else {
         return Err(unusable("has no pictures".to_owned()));
     };
-    let size @ [width, height] = [stream.width, stream.height];
+    let [width, height] = [stream.width, stream.height];
+    let size = if stream.is_on_its_side() {
+        [height, width]
+    } else {
+        [width, height]
+    };
     let bytes = 3 * u64::from(width) * u64::from(height);
     if width == 0 || height == 0 || width.max(height) > MAX_SIDE_PX || bytes > MAX_FRAME_BYTES {
         return Err(unusable(format!("has frames of {width}x{height} pixels")));
@@ -133,8 +166,9 @@ impl Decoder {
         let [width, height] = info.size;
         let mut decode: Command = command("ffmpeg", ["-nostdin", "-protocol_whitelist", PROTOCOLS]);
         decode
-            // Pixels as they are stored, like those of images: no rotation notes.
-            .args(["-noautorotate", "-i"])
+            // Frames come turned as players show them, like images with a note: the program's way
+            // unless it is told otherwise.
+            .arg("-i")
             .arg(file_argument(path))
             .args(["-map", "0:v:0"])
             .args(passthrough(NEEDED_FOR)?)
@@ -192,5 +226,32 @@ impl Decoder {
             None => return Ending::Complete,
         };
         Ending::Broken(reason)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_quarter_turn_is_known_by_the_words_of_old_and_new_versions() {
+        for (stream, is_on_its_side) in [
+            (r#"{"side_data_list": [{"rotation": -90}]}"#, true),
+            (r#"{"side_data_list": [{}, {"rotation": 270}]}"#, true),
+            (r#"{"side_data_list": [{"rotation": -180}]}"#, false),
+            (r#"{"side_data_list": [{"rotation": 0}]}"#, false),
+            (r#"{"side_data_list": [{"rotation": 44.5}]}"#, false),
+            (r#"{"tags": {"rotate": "90"}}"#, true),
+            (r#"{"tags": {"rotate": "180"}}"#, false),
+            (r#"{"tags": {"rotate": "no"}}"#, false),
+            (
+                r#"{"tags": {"rotate": "90"}, "side_data_list": [{"rotation": 0}]}"#,
+                false,
+            ),
+            ("{}", false),
+        ] {
+            let stream: ProbedStream = serde_json::from_str(stream).unwrap();
+            assert_eq!(stream.is_on_its_side(), is_on_its_side, "{stream:?}");
+        }
     }
 }

@@ -112,7 +112,8 @@ impl VideoWriter {
 
     fn start(&self, size: (u32, u32)) -> Result<Running> {
         let ending = self.path.extension().unwrap_or_default().to_string_lossy();
-        let file = files::temporary_beside(&self.path, &format!(".{ending}"))?.into_temp_path();
+        let place = files::followed(&self.path)?;
+        let file = files::temporary_beside(&place, &format!(".{ending}"))?.into_temp_path();
         let mut encode = command("ffmpeg", ["-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
         encode
             .args(["-s", &format!("{}x{}", size.0, size.1)])
@@ -154,7 +155,7 @@ impl VideoWriter {
         }
         running
             .file
-            .persist(&self.path)
+            .persist(files::followed(&self.path)?)
             .map_err(|failure| Error::io("write", &self.path)(failure.error))?;
         Ok(true)
     }

@@ -216,19 +216,67 @@ struct Pictures<'a> {
     textures: Vec<Texture>,
 }
 
+/// A diffuse colour below this is black: what reflects then is metal.
+const BLACK: f32 = 0.05;
+
+/// Colour, metal and roughness of a material.
+struct Base<'a> {
+    color: [f32; 4],
+    picture: Option<gltf::texture::Info<'a>>,
+    metallic: f32,
+    roughness: f32,
+    rough_picture: Option<gltf::texture::Info<'a>>,
+}
+
+impl<'a> Base<'a> {
+    fn of(material: &gltf::Material<'a>) -> Self {
+        let Some(old) = material.pbr_specular_glossiness() else {
+            let pbr = material.pbr_metallic_roughness();
+            return Self {
+                color: pbr.base_color_factor(),
+                picture: pbr.base_color_texture(),
+                metallic: pbr.metallic_factor(),
+                roughness: pbr.roughness_factor(),
+                rough_picture: pbr.metallic_roughness_texture(),
+            };
+        };
+        let picture = old.diffuse_texture();
+        let [red, green, blue, alpha] = old.diffuse_factor();
+        // A body has its diffuse colour, whatever shines on it: left out, the extension's specular
+        // colour is that of a mirror, which nobody means.
+        let is_metal = picture.is_none()
+            && old.specular_glossiness_texture().is_none()
+            && red.max(green).max(blue) < BLACK;
+        let [red, green, blue] = if is_metal {
+            old.specular_factor()
+        } else {
+            [red, green, blue]
+        };
+        // A picture says where it shines, which is not read: half of it, everywhere.
+        let gloss = match old.specular_glossiness_texture() {
+            Some(_) => 0.5 * old.glossiness_factor(),
+            None => old.glossiness_factor(),
+        };
+        Self {
+            color: [red, green, blue, alpha],
+            picture,
+            metallic: f32::from(u8::from(is_metal)),
+            roughness: 1.0 - gloss,
+            rough_picture: None,
+        }
+    }
+}
+
 impl Pictures<'_> {
     fn material(&mut self, material: &gltf::Material) -> Result<Material> {
-        let pbr = material.pbr_metallic_roughness();
+        let base = Base::of(material);
         let factors = [
-            pbr.metallic_factor(),
-            pbr.roughness_factor(),
+            base.metallic,
+            base.roughness,
             material.alpha_cutoff().unwrap_or(0.5),
             material.emissive_strength().unwrap_or(1.0),
         ];
-        let colors = pbr
-            .base_color_factor()
-            .into_iter()
-            .chain(material.emissive_factor());
+        let colors = base.color.into_iter().chain(material.emissive_factor());
         if colors.chain(factors).any(|v| !v.is_finite()) {
             return Err(self
                 .source
@@ -239,11 +287,11 @@ impl Pictures<'_> {
             .unwrap_or(1.0)
             .clamp(0.0, BRIGHTEST);
         Ok(Material {
-            base: pbr.base_color_factor(),
-            base_slot: self.slot(pbr.base_color_texture(), true)?,
-            metallic: pbr.metallic_factor(),
-            roughness: pbr.roughness_factor(),
-            rough_slot: self.slot(pbr.metallic_roughness_texture(), false)?,
+            base: base.color,
+            base_slot: self.slot(base.picture, true)?,
+            metallic: base.metallic,
+            roughness: base.roughness,
+            rough_slot: self.slot(base.rough_picture, false)?,
             emissive: Vec3A::from_array(material.emissive_factor()) * strength,
             emissive_slot: self.slot(material.emissive_texture(), true)?,
             alpha: match material.alpha_mode() {

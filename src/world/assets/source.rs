@@ -5,6 +5,7 @@ use std::path::{Component, Path, PathBuf};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use gltf::json::extensions::ENABLED_EXTENSIONS;
 use gltf::{Document, Gltf};
 use image::RgbaImage;
 use sha2::{Digest as _, Sha256};
@@ -40,6 +41,16 @@ impl Source {
         let Gltf { document, blob } = Gltf::from_slice_without_validation(&bytes)
             .map_err(|error| unreadable(path, &error))?;
         let json = document.into_json();
+        let is_known = |name: &&String| ENABLED_EXTENSIONS.contains(&name.as_str());
+        let unknown: Vec<&str> = json
+            .extensions_required
+            .iter()
+            .filter(|name| !is_known(name))
+            .map(String::as_str)
+            .collect();
+        if !unknown.is_empty() {
+            return Err(unread_extensions(path, &unknown));
+        }
         // gltf-json 1.4 looks these up before it checks that they are there, and panics.
         let mut primitives = json.meshes.iter().flat_map(|mesh| &mesh.primitives);
         let exists = |index: usize| index < json.accessors.len();
@@ -110,7 +121,7 @@ impl Source {
         let unusable = |error: &dyn std::fmt::Display| {
             self.error(
                 format!("picture {index} cannot be decoded: {error}"),
-                "pictures are PNG or JPEG of at most 16384 pixels a side",
+                "pictures are PNG, JPEG or WebP of at most 16384 pixels a side",
             )
         };
         let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes))
@@ -156,19 +167,29 @@ impl Source {
     }
 }
 
+/// The error of extensions that a file cannot do without.
+fn unread_extensions(path: &Path, names: &[&str]) -> Error {
+    let all = names.join(", ");
+    let remedy = if ["draco", "meshopt", "quantization"]
+        .iter()
+        .any(|word| all.contains(word))
+    {
+        "export it again without compression (Draco, meshopt, quantisation)"
+    } else if all.contains("texture") {
+        "export it again with PNG or JPEG pictures"
+    } else {
+        "export it again without that, as plain glTF 2.0"
+    };
+    Error::asset(
+        path,
+        format!("needs the glTF extensions {all}, which are not read"),
+        remedy,
+    )
+}
+
 fn unreadable(path: &Path, error: &gltf::Error) -> Error {
     let problem = match error {
         gltf::Error::Validation(all) => {
-            let unsupported = |error: &gltf::json::validation::Error| {
-                matches!(error, gltf::json::validation::Error::Unsupported)
-            };
-            if all.iter().any(|(_, error)| unsupported(error)) {
-                return Error::asset(
-                    path,
-                    "needs a glTF extension that is not read, such as compressed meshes",
-                    "export it again without compression (Draco, meshopt, quantisation)",
-                );
-            }
             let first = all.iter().map(|(place, error)| format!("{place}: {error}"));
             first.take(1).collect()
         }

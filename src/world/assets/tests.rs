@@ -87,6 +87,61 @@ fn axes_and_sizes_in_the_manifest_turn_and_scale() {
 }
 
 #[test]
+fn the_older_specular_materials_have_their_colour_and_other_extensions_are_named() {
+    let picture = RgbaImage::from_pixel(8, 8, Rgba([0, 0, 255, 255]));
+    for (old, color, mirror) in [
+        (
+            json!({"diffuseFactor": [0.1, 0.7, 0.2, 1.0]}),
+            [0.1, 0.7, 0.2],
+            0.04,
+        ),
+        (
+            json!({"diffuseFactor": [0.1, 0.7, 0.2, 1.0], "specularFactor": [0.2, 0.2, 0.2],
+                   "glossinessFactor": 0.3}),
+            [0.1, 0.7, 0.2],
+            0.04,
+        ),
+        (
+            json!({"diffuseTexture": {"index": 0}}),
+            [0.0, 0.0, 0.95],
+            0.04,
+        ),
+        // Gold.
+        (
+            json!({"diffuseFactor": [0.0, 0.0, 0.0, 1.0], "specularFactor": [0.9, 0.7, 0.3]}),
+            [0.135, 0.105, 0.045],
+            0.6,
+        ),
+    ] {
+        let material = json!({"extensions": {"KHR_materials_pbrSpecularGlossiness": old}});
+        let folder = folder_of(&Boxes::car(CAR).of(material).with_picture(&picture), "");
+        let library = library(folder.path());
+        let coat = library.model(0).coat(0, [0.3, 0.3], 0.001);
+        for (found, expected) in coat.albedo.to_array().iter().zip(color) {
+            assert!((found - expected).abs() < 1e-3, "{old}: {coat:?}");
+        }
+        assert!((coat.mirror - mirror).abs() < 0.05, "{old}: {coat:?}");
+    }
+    for (name, remedy) in [
+        ("KHR_mesh_quantization", "without compression"),
+        ("EXT_texture_webp", "PNG or JPEG"),
+        ("ADOBE_new_thing", "plain glTF 2.0"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut json, bin) = Boxes::car(CAR).parts();
+        json["extensionsRequired"] = json!(["KHR_materials_unlit", name]);
+        fs::create_dir(folder.path().join("vehicles")).unwrap();
+        fs::write(folder.path().join("vehicles/a.glb"), glb(&json, &bin)).unwrap();
+        let message = message(folder.path());
+        assert!(
+            message.contains(name) && message.contains(remedy),
+            "{message}"
+        );
+        assert!(!message.contains("KHR_materials_unlit"), "{message}");
+    }
+}
+
+#[test]
 fn pictures_factors_and_holes_come_out_where_the_file_puts_them() {
     let picture = RgbaImage::from_fn(64, 64, |x, _| {
         if x < 32 {
@@ -247,7 +302,7 @@ fn files_that_cannot_be_used_are_refused_with_a_remedy() {
         ("without end", |json, _| {
             json["nodes"][0]["children"] = json!([0, 0]);
         }),
-        ("extension", |json, _| {
+        ("KHR_draco_mesh_compression", |json, _| {
             json["extensionsRequired"] = json!(["KHR_draco_mesh_compression"]);
         }),
         ("more than 100000", |json, _| {
