@@ -23,6 +23,9 @@ const CUT_SPREAD: f64 = 0.12;
 const CAR_BELT: f64 = 0.6;
 const CAR_CABIN: f64 = 0.62;
 
+/// Sides that are off by more standard deviations do not fit at all.
+const FARTHEST_FIT: f64 = 6.0;
+
 /// The likelihood of a box that no body explains.
 const UNEXPLAINED: f64 = 1e-5;
 
@@ -240,9 +243,9 @@ impl Stance {
         }
     }
 
-    /// Likelihood of a box of this vehicle with its centre at a depth, metres: scale-free, about 1
-    /// where everything fits.
-    pub fn fits(&self, seen: &SeenBox, z_m: f64) -> [f64; 2] {
+    /// How well the height of a box fits this vehicle with its centre at a depth, metres: scale-free,
+    /// about 1 where it does.
+    pub fn height_fit(&self, seen: &SeenBox, z_m: f64) -> f64 {
         let down = seen.center[1] * z_m;
         let row = |[behind, below]: [f64; 2]| (down + below) / (z_m + behind).max(0.3 * z_m);
         let top = self
@@ -254,18 +257,20 @@ impl Stance {
             .iter()
             .fold(f64::NEG_INFINITY, |most, &point| most.max(row(point)));
         let height = bottom - top;
-        let height_noise = if seen.cut.sides {
+        let noise = if seen.cut.sides {
             seen.noise[1].max(CUT_SPREAD)
         } else {
             seen.noise[1]
         };
-        let spread = libm::hypot(self.height_std_m / (height * z_m), height_noise);
-        let width = self.across_m / z_m;
-        let width_spread = libm::hypot(WIDTH_SPREAD, seen.noise[0]);
-        [
-            fit(seen.size[0], width, width_spread, seen.cut.sides),
-            fit(seen.size[1], height, spread, seen.cut.ends),
-        ]
+        let of_bodies = self.height_std_m / (height * z_m);
+        let spread = (of_bodies * of_bodies + noise * noise).sqrt();
+        fit(seen.size[1], height, spread, seen.cut.ends)
+    }
+
+    /// The same of the width.
+    pub fn width_fit(&self, seen: &SeenBox, z_m: f64) -> f64 {
+        let spread = (WIDTH_SPREAD * WIDTH_SPREAD + seen.noise[0] * seen.noise[0]).sqrt();
+        fit(seen.size[0], self.across_m / z_m, spread, seen.cut.sides)
     }
 }
 
@@ -273,6 +278,9 @@ impl Stance {
 /// larger one fits.
 fn fit(seen: f64, expected: f64, spread: f64, cut: bool) -> f64 {
     let off = (seen - expected) / (spread * expected);
+    if off.abs() > FARTHEST_FIT && (off > 0.0 || !cut) {
+        return 0.0;
+    }
     if cut {
         return if off < 0.0 {
             1.0

@@ -8,42 +8,41 @@
 
 mod body;
 mod doubt;
+mod offsets;
+mod ray;
 mod spline;
 mod stereo;
+mod trusted_rig;
+mod witnessed;
 
 use image::RgbImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub use body::Body;
-use body::{SeenBox, Stance, with_unexplained};
+use body::{SeenBox, Stance};
 pub use doubt::PairDoubt;
+use offsets::{Offsets, log_fit, shared};
+use ray::{Ray, log_spaced};
 use stereo::{StereoEvidence, stereo_evidence};
+pub use trusted_rig::TrustedRig;
+use witnessed::{LEAST_DEPTH_M, Witnessed, pixels};
 
 use super::{Posterior, SizeWitness};
-use crate::dataset::{BoxKind, DatasetInfo};
-use crate::geometry::{DisparityCorrection, PixelBox, StereoRig};
+use crate::dataset::BoxKind;
+use crate::geometry::{PixelBox, StereoRig};
 
 /// Relative spread of the boxes of a strange pair: its vehicles may be anything.
 const STRANGE_BOX_STD: f64 = 0.3;
 
 /// Points of the grid that are even in the logarithm of the depth.
-const EVEN_POINTS: usize = 220;
+const EVEN_POINTS: usize = 160;
 
 /// Depths of disparities that are at least this likely are points of the grid, too.
 const LIKELY: f64 = 0.02;
 
 /// Steps of the likelihood between those points.
-const STRIDE: f64 = 2.0;
-
-/// Nodes and weights of a normal distribution: Gauss-Hermite quadrature with five points.
-const NORMAL_NODES: [(f64, f64); 5] = [
-    (-2.856_970_013_872_806, 0.011_257_411_327_720_69),
-    (-1.355_626_179_974_266, 0.222_075_922_005_612_6),
-    (0.0, 0.533_333_333_333_333_3),
-    (1.355_626_179_974_266, 0.222_075_922_005_612_6),
-    (2.856_970_013_872_806, 0.011_257_411_327_720_69),
-];
+const STRIDE: f64 = 3.0;
 
 /// How far cameras look down, degrees, and how often: along the road from a vehicle, or from poles
 /// and drones.
@@ -66,11 +65,7 @@ const PITCHES_DEG: [(f64, f64); 15] = [
 ];
 
 /// Pitches less probable than this part of the most probable one are left out.
-const LEAST_PITCH: f64 = 0.03;
-
-/// A frame's vehicles say which pitch it has only up to this likelihood ratio each: one that is
-/// boxed wrongly must not decide.
-const LEAST_FIT: f64 = 1e-3;
+const LEAST_PITCH: f64 = 0.1;
 
 /// The evidence is raised to this power: windows that see different faces of a vehicle vote for
 /// different disparities, and added up they are wider than what is unknown of its centre. Found on
@@ -196,213 +191,6 @@ pub struct Ranger {
     settings: RangerSettings,
 }
 
-/// A rig, and how far its disparities can be trusted.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TrustedRig {
-    /// The cameras.
-    pub rig: StereoRig,
-    /// What disparities are too large by, where that was measured.
-    pub correction: Option<DisparityCorrection>,
-    /// Standard deviation of what all disparities of a frame are off by beside that, pixels.
-    pub disparity_std_px: f64,
-}
-
-impl TrustedRig {
-    /// Standard deviation of the disparities of calibrated cameras that nobody checked, pixels: what
-    /// public driving data has.
-    pub const UNCHECKED_STD_PX: f64 = 0.5;
-
-    /// Cameras that are calibrated, without a check of how well.
-    pub const fn unchecked(rig: StereoRig) -> Self {
-        Self {
-            rig,
-            correction: None,
-            disparity_std_px: Self::UNCHECKED_STD_PX,
-        }
-    }
-
-    /// Rendered images, whose rig is exact.
-    pub const fn exact(rig: StereoRig) -> Self {
-        Self {
-            rig,
-            correction: None,
-            disparity_std_px: 0.0,
-        }
-    }
-
-    /// The rig of a dataset: exact where it was rendered, unchecked otherwise.
-    pub fn of_dataset(info: &DatasetInfo) -> Self {
-        let program = info.made_by.get("program").and_then(toml::Value::as_str);
-        if program == Some("twinsight generate") {
-            Self::exact(info.rig)
-        } else {
-            Self::unchecked(info.rig)
-        }
-    }
-
-    /// Cameras of which it was measured what their disparities are off by: `twinsight calibrate`.
-    pub fn corrected(rig: StereoRig, correction: DisparityCorrection) -> Self {
-        Self {
-            rig,
-            disparity_std_px: correction.std_px(),
-            correction: Some(correction),
-        }
-    }
-
-    /// What the disparity of a pixel of the left image is too large by, pixels.
-    fn delta_px(&self, pixel: [f64; 2]) -> f64 {
-        self.correction
-            .as_ref()
-            .map_or(0.0, |correction| correction.delta_px(pixel))
-    }
-}
-
-/// A target with all evidence for it.
-struct Witnessed<'a> {
-    target: &'a Target,
-    seen: Option<SeenBox>,
-    bodies: Vec<Body>,
-    witness: Option<SizeWitness>,
-    stereo: Option<StereoEvidence>,
-    /// What its disparities are too large by, pixels.
-    delta_px: f64,
-    support: f64,
-}
-
-impl Witnessed<'_> {
-    /// Ways to stand, given the camera's pitches with their weights.
-    fn stances(&self, pitches: &[(f64, f64)]) -> Vec<Stance> {
-        let (Some(seen), None) = (&self.seen, &self.witness) else {
-            return Vec::new();
-        };
-        let total: f64 = pitches.iter().map(|(_, weight)| weight).sum();
-        let mut stances = Vec::new();
-        for (pitch, weight) in pitches {
-            for mut stance in Stance::all(&self.bodies, *pitch, seen) {
-                stance.share *= weight / total;
-                stances.push(stance);
-            }
-        }
-        stances
-    }
-
-    /// How likely the box is with the centre at a depth, in parts: each a likelihood and how far the
-    /// centre then lies behind the surface, metres.
-    fn sizes(&self, stances: &[Stance], z_m: f64, add: &mut impl FnMut(f64, f64)) {
-        let Some(seen) = &self.seen else {
-            add(1.0, 0.0);
-            return;
-        };
-        let Some(witness) = &self.witness else {
-            sized(stances, seen, z_m, add);
-            return;
-        };
-        let side = (seen.size[0] * seen.size[1]).sqrt();
-        let off = (libm::log(z_m * side) - witness.log_size_mean) / witness.log_size_std;
-        let likelihood = with_unexplained(libm::exp(-0.5 * off * off) / witness.log_size_std);
-        for (node, weight) in NORMAL_NODES {
-            let extent_m = witness.extent_mean_m + node * witness.extent_std_m;
-            add(weight * likelihood, extent_m.max(0.0));
-        }
-    }
-}
-
-/// What all disparities of a frame may be off by, as each of its vehicles sees it: vehicles are
-/// rulers for each other.
-struct Offsets {
-    /// Log-evidence of each vehicle for each offset.
-    evidence: Vec<Vec<f64>>,
-    std_px: f64,
-}
-
-/// Offsets that are tried, to both sides of none.
-const OFFSETS: usize = 15;
-
-/// They go this many standard deviations far.
-const OFFSET_REACH: f64 = 3.0;
-
-/// Depths at which vehicles are rulers.
-const RULER_DEPTHS: usize = 160;
-
-impl Offsets {
-    fn new(witnessed: &[Witnessed], pitches: &[(f64, f64)], rig: &TrustedRig) -> Self {
-        let std_px = rig.disparity_std_px;
-        if std_px <= 0.0 {
-            return Self {
-                evidence: Vec::new(),
-                std_px,
-            };
-        }
-        let evidence = witnessed
-            .par_iter()
-            .map(|witnessed| {
-                let (Some(seen), Some(stereo)) = (&witnessed.seen, &witnessed.stereo) else {
-                    return vec![0.0; 2 * OFFSETS + 1];
-                };
-                let stances = witnessed.stances(pitches);
-                let depth = |height_m: f64| height_m / seen.size[1];
-                let mut sums = [0.0; 2 * OFFSETS + 1];
-                for z_m in log_spaced(depth(0.8), depth(6.5), RULER_DEPTHS) {
-                    witnessed.sizes(&stances, z_m, &mut |likelihood, extent_m| {
-                        let disparity_px = rig.rig.disparity_px((z_m - extent_m).max(0.3));
-                        for (i, sum) in sums.iter_mut().enumerate() {
-                            *sum += likelihood * stereo.at(disparity_px + offset_px(i, std_px));
-                        }
-                    });
-                }
-                sums.map(|sum| libm::log(sum / RULER_DEPTHS as f64 + LEAST_FIT))
-                    .to_vec()
-            })
-            .collect();
-        Self { evidence, std_px }
-    }
-
-    /// What a vehicle's stereo evidence is when disparities are off by what the other vehicles think.
-    fn seen_by_others(&self, which: usize, stereo: &StereoEvidence) -> StereoEvidence {
-        if self.std_px <= 0.0 {
-            return stereo.clone();
-        }
-        let others = self.evidence.len().saturating_sub(1);
-        let log: Vec<f64> = (0..=2 * OFFSETS)
-            .map(|i| {
-                let prior = -0.5 * (offset_px(i, self.std_px) / self.std_px).powi(2);
-                let evidence: f64 = (0..self.evidence.len())
-                    .filter(|other| *other != which)
-                    .map(|other| self.evidence[other][i])
-                    .sum();
-                prior + shared(others) * evidence
-            })
-            .collect();
-        let most = log.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let weights: Vec<f64> = log.iter().map(|log| libm::exp(log - most)).collect();
-        // On the steps of the evidence. What is measured is too large by the offset.
-        let step = stereo.step_px();
-        let radius = libm::ceil(OFFSET_REACH * self.std_px / step) as usize;
-        let kernel: Vec<f64> = (0..=2 * radius)
-            .map(|k| {
-                let offset = (k as f64 - radius as f64) * step;
-                let place = offset / (OFFSET_REACH * self.std_px) * OFFSETS as f64 + OFFSETS as f64;
-                let i = (place.max(0.0) as usize).min(2 * OFFSETS - 1);
-                let part = (place - i as f64).clamp(0.0, 1.0);
-                weights[i] + part * (weights[i + 1] - weights[i])
-            })
-            .collect();
-        stereo.averaged(&kernel)
-    }
-}
-
-fn offset_px(i: usize, std_px: f64) -> f64 {
-    (i as f64 - OFFSETS as f64) / OFFSETS as f64 * OFFSET_REACH * std_px
-}
-
-/// How much each of several rulers counts: they share their prior, and so a part of their error.
-fn shared(rulers: usize) -> f64 {
-    1.0 / (1.0 + SHARED_ERROR * rulers.saturating_sub(1) as f64)
-}
-
-/// Part of the variance of a ruler that all of them share.
-const SHARED_ERROR: f64 = 0.25;
-
 impl Ranger {
     /// A ranger with other settings.
     pub const fn new(settings: RangerSettings) -> Self {
@@ -436,7 +224,7 @@ impl Ranger {
             .zip(stereo)
             .map(|(target, stereo)| self.witnessed(target, stereo, rig, doubt.is_some()))
             .collect();
-        let pitches = self.pitches(&witnessed, &rig.rig);
+        let pitches = Self::pitches(&witnessed, &rig.rig);
         let offsets = Offsets::new(&witnessed, &pitches, rig);
         let ranged = witnessed
             .par_iter()
@@ -502,7 +290,7 @@ impl Ranger {
     }
 
     /// Pitches of the camera, radians, with their probabilities, given all vehicles.
-    fn pitches(&self, witnessed: &[Witnessed], rig: &StereoRig) -> Vec<(f64, f64)> {
+    fn pitches(witnessed: &[Witnessed], rig: &StereoRig) -> Vec<(f64, f64)> {
         let rulers: Vec<&Witnessed> = witnessed
             .iter()
             .filter(|w| w.witness.is_none() && w.seen.is_some())
@@ -513,7 +301,7 @@ impl Ranger {
             .map(|&(pitch_deg, prior)| {
                 let fits = rulers
                     .iter()
-                    .map(|w| self.fit(w, pitch_deg.to_radians(), rig));
+                    .map(|w| Self::fit(w, pitch_deg.to_radians(), rig));
                 libm::log(prior) + fits.sum::<f64>() * tempering
             })
             .collect();
@@ -529,21 +317,12 @@ impl Ranger {
     }
 
     /// Logarithm of how well a vehicle fits a pitch.
-    fn fit(&self, witnessed: &Witnessed, pitch: f64, rig: &StereoRig) -> f64 {
-        let Some(seen) = &witnessed.seen else {
-            return 0.0;
-        };
-        // What is seen is between 0.8 and 6.5 m high.
-        let depth = |height_m: f64| height_m / seen.size[1];
-        let depths = log_spaced(depth(0.8), depth(6.5), 96);
-        let stances = Stance::all(&witnessed.bodies, pitch, seen);
-        let mut sum = 0.0;
-        for z_m in depths {
-            sized(&stances, seen, z_m, &mut |likelihood, extent_m| {
-                sum += likelihood * pixels(witnessed.stereo.as_ref(), rig, z_m, extent_m);
-            });
-        }
-        libm::log(sum / 96.0 + LEAST_FIT)
+    fn fit(witnessed: &Witnessed, pitch: f64, rig: &StereoRig) -> f64 {
+        let evidence = witnessed.seen.as_ref().and_then(|seen| {
+            let stances = Stance::all(&witnessed.bodies, pitch, seen);
+            witnessed.evidence(&stances, rig, [0.0])
+        });
+        evidence.map_or(0.0, |[sum]| log_fit(sum))
     }
 
     /// The posterior of a vehicle, given its stereo evidence and the camera's pitches.
@@ -587,7 +366,7 @@ impl Ranger {
         let median = posterior.median_m();
         let i = distances.partition_point(|&distance| distance < median);
         let i = i.min(depths.len() - 1);
-        let surface_m = (ray.depth_m(median) - extent[i]).max(0.3);
+        let surface_m = (ray.depth_m(median) - extent[i]).max(LEAST_DEPTH_M);
         let disparity_px = rig.disparity_px(surface_m) + witnessed.delta_px;
         let stereo_m = stereo.and_then(|stereo| {
             let best_px = stereo.best_px();
@@ -631,31 +410,6 @@ impl Ranger {
     }
 }
 
-/// Likelihoods and extents of all stances for a box at a depth. How wide the box is tells how the
-/// vehicle is turned, not how far it is.
-fn sized(stances: &[Stance], seen: &SeenBox, z_m: f64, add: &mut impl FnMut(f64, f64)) {
-    for of_body in stances.chunks(body::HEADINGS) {
-        let mut fits = [[0.0; 2]; body::HEADINGS];
-        let mut widths = 1e-9;
-        for (fit, stance) in fits.iter_mut().zip(of_body) {
-            *fit = stance.fits(seen, z_m);
-            fit[0] += 1e-9;
-            widths += fit[0];
-        }
-        for ([width, height], stance) in fits.iter().zip(of_body) {
-            let likelihood = width / widths * body::HEADINGS as f64 * height;
-            add(stance.share * with_unexplained(likelihood), stance.extent_m);
-        }
-    }
-}
-
-/// Likelihood of the pixels for a centre at a depth, `extent_m` behind the surface.
-fn pixels(stereo: Option<&StereoEvidence>, rig: &StereoRig, z_m: f64, extent_m: f64) -> f64 {
-    stereo.map_or(1.0, |stereo| {
-        stereo.at(rig.disparity_px((z_m - extent_m).max(0.3)))
-    })
-}
-
 /// Boxes of vehicles that are before a target and overlap it: those that reach lower.
 fn nearer(target: &Target, targets: &[Target]) -> Vec<PixelBox> {
     let own = target.filled();
@@ -665,44 +419,4 @@ fn nearer(target: &Target, targets: &[Target]) -> Vec<PixelBox> {
         .map(Target::filled)
         .filter(|other| other.y_max > least && own.intersection(other).is_valid())
         .collect()
-}
-
-/// The ray through the middle of a box: between depths and distances from the midpoint between the
-/// cameras.
-struct Ray {
-    right: f64,
-    down: f64,
-    half_baseline_m: f64,
-}
-
-impl Ray {
-    fn new(area: &PixelBox, rig: &StereoRig) -> Self {
-        let [right, down, _] = rig.left.camera_from_pixel(area.center());
-        let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
-        Self {
-            right: finite(right),
-            down: finite(down),
-            half_baseline_m: 0.5 * rig.baseline_m,
-        }
-    }
-
-    fn distance_m(&self, z_m: f64) -> f64 {
-        let x = self.right * z_m - self.half_baseline_m;
-        let y = self.down * z_m;
-        (x * x + y * y + z_m * z_m).sqrt()
-    }
-
-    /// The inverse of [`Ray::distance_m`].
-    fn depth_m(&self, distance_m: f64) -> f64 {
-        let ray = 1.0 + self.right * self.right + self.down * self.down;
-        let b = self.right * self.half_baseline_m;
-        let c = self.half_baseline_m * self.half_baseline_m - distance_m * distance_m;
-        (b + (b * b - ray * c).max(0.0).sqrt()) / ray
-    }
-}
-
-/// Values from the first to the last, even in their logarithm.
-fn log_spaced(first: f64, last: f64, count: usize) -> impl Iterator<Item = f64> {
-    let step = libm::log(last / first) / (count - 1) as f64;
-    (0..count).map(move |i| first * libm::exp(step * i as f64))
 }

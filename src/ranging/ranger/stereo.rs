@@ -97,6 +97,8 @@ pub(crate) struct StereoEvidence {
     step_px: f64,
     /// Relative to an even one over the range.
     likelihood: Vec<f64>,
+    /// Sums of the likelihoods before each step, and of all.
+    sums: Vec<f64>,
     /// Likelihood of what was not tried.
     floor: f64,
     /// Share of the windows' say that agrees with the best disparity, 0 to 1.
@@ -104,6 +106,24 @@ pub(crate) struct StereoEvidence {
 }
 
 impl StereoEvidence {
+    fn new(first_px: f64, step_px: f64, likelihood: Vec<f64>, floor: f64, support: f64) -> Self {
+        let mut sums = Vec::with_capacity(likelihood.len() + 1);
+        let mut sum = 0.0;
+        sums.push(sum);
+        for value in &likelihood {
+            sum += value;
+            sums.push(sum);
+        }
+        Self {
+            first_px,
+            step_px,
+            likelihood,
+            sums,
+            floor,
+            support,
+        }
+    }
+
     /// The same with disparities that are uncertain by this standard deviation, pixels.
     pub fn blurred(&self, std_px: f64) -> Self {
         let deviation = std_px / self.step_px;
@@ -126,10 +146,13 @@ impl StereoEvidence {
             let sum: f64 = values.iter().zip(kernel).map(|(v, k)| v * k).sum();
             sum / total
         });
-        Self {
-            likelihood: likelihood.collect(),
-            ..*self
-        }
+        Self::new(
+            self.first_px,
+            self.step_px,
+            likelihood.collect(),
+            self.floor,
+            self.support,
+        )
     }
 
     /// The same with all disparities larger by this, pixels.
@@ -163,6 +186,29 @@ impl StereoEvidence {
             .filter(move |&i| self.likelihood[i] >= least)
             .map(|i| self.first_px + self.step_px * i as f64)
             .filter(|disparity_px| *disparity_px > 0.0)
+    }
+
+    /// Mean likelihood between two disparities, pixels.
+    pub fn mean(&self, least_px: f64, most_px: f64) -> f64 {
+        let width = (most_px - least_px) / self.step_px;
+        if width < 1.0 {
+            return self.at(f64::midpoint(least_px, most_px));
+        }
+        (self.sum_to(most_px) - self.sum_to(least_px)) / width
+    }
+
+    /// Sum of the likelihoods of all disparities that were tried up to this one, and of those beyond.
+    fn sum_to(&self, disparity_px: f64) -> f64 {
+        let place = (disparity_px - self.first_px) / self.step_px;
+        let last = self.sums.len() - 1;
+        if place <= 0.0 {
+            return self.floor * place;
+        }
+        if place >= last as f64 {
+            return self.sums[last] + self.floor * (place - last as f64);
+        }
+        let i = place as usize;
+        self.sums[i] + place.fract() * (self.sums[i + 1] - self.sums[i])
     }
 
     /// The most likely disparity, pixels.
@@ -221,13 +267,9 @@ pub(crate) fn stereo_evidence(
     for value in &mut likelihood {
         *value = (1.0 - floor) * *value / sum * count as f64 + floor;
     }
-    Some(StereoEvidence {
-        first_px,
-        step_px: step,
-        likelihood,
-        floor,
-        support,
-    })
+    Some(StereoEvidence::new(
+        first_px, step, likelihood, floor, support,
+    ))
 }
 
 /// A window: its first point in the left plane, its size, and its say by place.
