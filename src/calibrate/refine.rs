@@ -89,7 +89,7 @@ impl Refined {
             )
         };
         let parts = if is_turned {
-            turned(parts, views.as_ref(), fit, rig.baseline_m)
+            turned(&parts, views.as_ref(), fit, rig.baseline_m)
         } else {
             parts
         };
@@ -126,7 +126,7 @@ impl Refined {
 
 /// The cameras with the right one turned and moved as the rows of rectified images say.
 fn turned(
-    parts: CalibrationParts,
+    parts: &CalibrationParts,
     views: Option<&[RectifiedView; 2]>,
     fit: &RectificationFit,
     baseline_m: f64,
@@ -141,7 +141,7 @@ fn turned(
     CalibrationParts {
         rotation: right_from_rectified * left.transpose(),
         translation_m: -(right_from_rectified * place_m),
-        ..parts
+        ..*parts
     }
 }
 
