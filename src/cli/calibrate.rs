@@ -48,13 +48,13 @@ pub struct CalibrateArgs {
     /// At most this many pairs, evenly spread
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), default_value_t = 100)]
     frames: u32,
-    /// Known distances, a table with the columns image, x, y, distance_m: a pixel of the left
-    /// rectified image and how far the surface that it shows is from the middle between the cameras,
-    /// metres. Or image, x_min, y_min, x_max, y_max, distance_m: the box of a car and the distance of
-    /// its centre, which lies behind the surface by half the car. Points are exacter. A column
-    /// distance_std_m says how exact the distances are [default: 1 %]. Far places (small disparities)
-    /// tell most; about ten of them, from the left border to the right one, also tell how the error
-    /// changes across the image
+    /// Known distances, a table with the columns `image,x,y,distance_m`: a pixel of the left rectified
+    /// image and how far the surface that it shows is from the middle between the cameras, metres. Or
+    /// `image,x_min,y_min,x_max,y_max,distance_m`: the box of a car and the distance of its centre,
+    /// which lies behind the surface by half the car. Points are exacter. A column `distance_std_m`
+    /// says how exact the distances are [default: 1 %]. Far places (small disparities) tell most; about
+    /// ten of them, from the left border to the right one, also tell how the error changes across the
+    /// image
     #[arg(long, value_name = "FILE")]
     distances: Option<PathBuf>,
     /// Write the calibration there, as TOML
