@@ -112,8 +112,7 @@ impl CalibrateArgs {
             len,
             calibration,
         } = self.pairs()?;
-        let mut frames = frames.peekable();
-        let calibrated = self.calibrated(&calibration, &mut frames)?;
+        let (calibrated, frames) = self.calibrated(&calibration, frames)?;
         if !quiet {
             say(calibrated.note());
             if calibration.disparity_correction().is_some() {
@@ -170,32 +169,28 @@ impl CalibrateArgs {
         })
     }
 
-    /// The rig ready for the first usable pair; pairs before it are skipped with their reasons.
+    /// The rig ready for the first usable pair, and all pairs.
     fn calibrated(
         &self,
         calibration: &StereoCalibration,
-        frames: &mut std::iter::Peekable<Box<dyn Iterator<Item = StereoFrame>>>,
-    ) -> Result<CalibratedRig> {
-        let mut first = None;
-        loop {
-            match frames.peek().map(|frame| &frame.images) {
-                Some(Ok([left, _])) => {
-                    return self.calibration.rig(calibration, left.dimensions());
-                }
-                Some(Err(_)) => {
-                    let broken = frames.next().and_then(|frame| frame.images.err());
-                    if let Some(broken) = broken {
-                        say([&broken]);
-                        first = first.or(Some(broken));
-                    }
-                }
-                None => {
-                    return Err(first.unwrap_or_else(|| {
-                        Error::value("pairs", "there are none", "give images of both cameras")
-                    }));
-                }
-            }
+        mut frames: Box<dyn Iterator<Item = StereoFrame>>,
+    ) -> Result<(CalibratedRig, impl Iterator<Item = StereoFrame>)> {
+        let mut first: Vec<StereoFrame> = Vec::new();
+        while first.last().is_none_or(|frame| frame.images.is_err())
+            && let Some(frame) = frames.next()
+        {
+            first.push(frame);
         }
+        let size = match first.last().map(|frame| frame.images.as_ref()) {
+            Some(Ok([left, _])) => left.dimensions(),
+            Some(Err(_)) => {
+                let broken = first.into_iter().find_map(|frame| frame.images.err());
+                return Err(broken.unwrap_or_else(no_pairs));
+            }
+            None => return Err(no_pairs()),
+        };
+        let calibrated = self.calibration.rig(calibration, size)?;
+        Ok((calibrated, first.into_iter().chain(frames)))
     }
 
     fn survey(
@@ -244,6 +239,10 @@ impl CalibrateArgs {
             constant,
         })
     }
+}
+
+fn no_pairs() -> Error {
+    Error::value("pairs", "there are none", "give images of both cameras")
 }
 
 /// The pairs of a dataset and its rig.
