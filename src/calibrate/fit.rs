@@ -252,8 +252,12 @@ impl RectificationFit {
     /// pitch and roll. Yaw shows in rows as well, but its larger effect, on disparities, would be
     /// guessed from the smaller one.
     pub(super) fn turn(&self) -> [f64; 3] {
-        let [shift, pitch, roll] = [SHIFT, PITCH, ROLL].map(|i| self.parameters[i]);
-        [-(shift + pitch), 0.0, roll]
+        [-self.parameters[PITCH], 0.0, self.parameters[ROLL]]
+    }
+
+    /// How much lower the right camera's principal point lies, focal lengths.
+    pub(super) fn shift(&self) -> f64 {
+        self.parameters[SHIFT]
     }
 
     /// How much higher the right camera stands, parts of the baseline.
