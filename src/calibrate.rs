@@ -41,6 +41,7 @@ mod offset;
 mod picture;
 mod reading;
 mod refine;
+mod robust;
 mod search;
 mod spread;
 mod subpixel;

@@ -5,6 +5,8 @@
 mod ablate;
 #[path = "support/binary.rs"]
 mod binary;
+#[path = "cli/calibrate.rs"]
+mod calibrate;
 #[path = "cli/calibration.rs"]
 mod calibration;
 #[path = "cli/evaluate.rs"]
@@ -38,9 +40,20 @@ use std::time::{Duration, Instant};
 
 use binary::{Outcome, Workplace};
 
-const COMMANDS: [&str; 12] = [
-    "generate", "import", "export", "validate", "inspect", "prepare", "train", "evaluate",
-    "ablate", "report", "predict", "devices",
+const COMMANDS: [&str; 13] = [
+    "generate",
+    "import",
+    "export",
+    "validate",
+    "inspect",
+    "prepare",
+    "train",
+    "evaluate",
+    "ablate",
+    "report",
+    "predict",
+    "calibrate",
+    "devices",
 ];
 /// Commands that a build may lack.
 const OPTIONAL_COMMANDS: &[&str] = if cfg!(feature = "remote") {

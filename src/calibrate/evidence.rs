@@ -8,6 +8,7 @@
 use serde::Serialize;
 
 use crate::error::{Error, Result};
+use crate::geometry::DisparityTerms;
 
 /// Fewest vehicles that are asked.
 pub const LEAST_VEHICLES: usize = 20;
@@ -30,9 +31,21 @@ pub struct Offset {
     pub scatter_px: f64,
 }
 
+impl Offset {
+    /// A correction with this constant in place of its own.
+    #[must_use]
+    pub fn applied_to(&self, terms: DisparityTerms) -> DisparityTerms {
+        DisparityTerms {
+            constant_px: self.mean_px,
+            constant_std_px: self.std_px,
+            ..terms
+        }
+    }
+}
+
 /// The constant that vehicles agree on best: `log_evidence[i][j]` is the logarithm of the probability
-/// of what is seen of vehicle `i` if disparities are too large by `deltas[j]` pixels (up to a constant
-/// for each vehicle); `deltas` rise evenly.
+/// of what is seen of vehicle `i` if disparities are too large by `deltas[j]` pixels, beside the shape
+/// of their error that is known already (up to a constant for each vehicle); `deltas` rise evenly.
 ///
 /// # Errors
 /// [`Error::Value`] for fewer than 20 vehicles, tables that do not fit together or hold no numbers,

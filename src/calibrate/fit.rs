@@ -22,9 +22,9 @@
 
 use serde::Serialize;
 
-use super::linear::{Cholesky, Matrix, add_outer, dot, form};
+use super::linear::{Matrix, dot, form};
 use super::matching::FeatureMatch;
-use super::spread::{self, Score};
+use super::robust::{Row, SIGMA_OF_MEDIAN, Solution, median, solve};
 use crate::error::{Error, Result};
 use crate::geometry::{DisparityTerms, StereoRig};
 
@@ -62,16 +62,6 @@ const CELLS: [usize; 2] = [8, 4];
 
 /// Fewest of these parts that matches must lie in.
 const LEAST_CELLS: usize = 10;
-
-/// Rounds of reweighting: by Huber's weights first, which find the way from anywhere, then by Tukey's,
-/// which leave outliers out.
-const ROUNDS: usize = 30;
-
-/// From the median of deviations to the standard deviation of a normal distribution.
-const SIGMA_OF_MEDIAN: f64 = 1.4826;
-
-/// Less than this is no spread but rounding, radians: a thousandth of a pixel.
-const LEAST_SIGMA: f64 = 1e-6;
 
 /// A value and its standard error.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -133,21 +123,13 @@ pub struct RectificationFit {
     rig: StereoRig,
 }
 
-/// A match in normalised coordinates.
-struct Row {
-    slopes: [f64; N],
-    dv: f64,
-    frame: u32,
-    cell: usize,
-}
-
 impl RectificationFit {
     /// Fits matches of rectified images of this rig.
     ///
     /// # Errors
     /// [`Error::Value`] for fewer than 100 matches, or matches in a small part of the image only.
     pub fn new(matches: &[FeatureMatch], rig: &StereoRig) -> Result<Self> {
-        let rows: Vec<Row> = matches.iter().map(|m| row(m, rig)).collect();
+        let rows: Vec<Row<N>> = matches.iter().map(|m| row(m, rig)).collect();
         let mut cells: Vec<usize> = rows.iter().map(|row| row.cell).collect();
         cells.sort_unstable();
         cells.dedup();
@@ -163,22 +145,33 @@ impl RectificationFit {
                 "give more pairs, with texture all over the image: streets, trees, no fog, no blur",
             ));
         }
-        let (parameters, weights, sigma) = robust(&rows)?;
-        let bias = BIAS_PX / rig.left.focal_y_px;
-        let covariance = covariance(&rows, &weights, (&parameters, sigma), bias)?;
+        let focal_px = rig.left.focal_y_px;
+        let mut start = [0.0; N];
+        start[PITCH] = median(&mut rows.iter().map(|row| row.value).collect::<Vec<_>>());
+        let Solution {
+            parameters,
+            covariance,
+            weights,
+            sigma,
+        } = solve(&rows, &PRIOR, start, BIAS_PX / focal_px).ok_or_else(|| {
+            Error::value(
+                "features",
+                "their places are no finite numbers",
+                "give pairs of a textured scene",
+            )
+        })?;
         let used = weights.iter().filter(|weight| **weight > 0.0).count();
         let mut frames: Vec<u32> = rows.iter().map(|row| row.frame).collect();
         frames.sort_unstable();
         frames.dedup();
-        let focal_px = rig.left.focal_y_px;
-        let kept = |value: &dyn Fn(&Row) -> f64| -> Vec<f64> {
+        let kept = |value: &dyn Fn(&Row<N>) -> f64| -> Vec<f64> {
             let pairs = rows.iter().zip(&weights);
             let kept = pairs.filter(|(_, weight)| **weight > 0.0);
             kept.map(|(row, _)| value(row).abs()).collect()
         };
         let mut off = kept(&|row| dot(&row.slopes, &parameters));
         off.sort_unstable_by(f64::total_cmp);
-        let before = SIGMA_OF_MEDIAN * median(&mut kept(&|row| row.dv));
+        let before = SIGMA_OF_MEDIAN * median(&mut kept(&|row| row.value));
         let of = |index: usize, factor: f64| {
             Estimate {
                 value: parameters[index],
@@ -215,13 +208,12 @@ impl RectificationFit {
     /// How many rows lower than in the left image the rig's right image shows a match, less what was
     /// found: what remains; pixels.
     pub fn residual_px(&self, of: &FeatureMatch) -> f64 {
-        let row = row(of, &self.rig);
-        (row.dv - dot(&row.slopes, &self.parameters)) * self.rig.left.focal_y_px
+        row(of, &self.rig).residual(&self.parameters) * self.rig.left.focal_y_px
     }
 
     /// The same before anything is subtracted.
     pub fn rows_px(&self, of: &FeatureMatch) -> f64 {
-        row(of, &self.rig).dv * self.rig.left.focal_y_px
+        row(of, &self.rig).value * self.rig.left.focal_y_px
     }
 
     /// What vertical disparities show of the error of disparities: everything but its constant, which
@@ -260,8 +252,12 @@ impl RectificationFit {
     /// pitch and roll. Yaw shows in rows as well, but its larger effect, on disparities, would be
     /// guessed from the smaller one.
     pub(super) fn turn(&self) -> [f64; 3] {
-        let [shift, pitch, roll] = [SHIFT, PITCH, ROLL].map(|i| self.parameters[i]);
-        [-(shift + pitch), 0.0, roll]
+        [-self.parameters[PITCH], 0.0, self.parameters[ROLL]]
+    }
+
+    /// How much lower the right camera's principal point lies, focal lengths.
+    pub(super) fn shift(&self) -> f64 {
+        self.parameters[SHIFT]
     }
 
     /// How much higher the right camera stands, parts of the baseline.
@@ -305,7 +301,8 @@ pub(super) fn spread_over_image(covariance: &Matrix<4>, rig: &StereoRig) -> f64 
     (sum / f64::from(POINTS * POINTS)).sqrt()
 }
 
-fn row(of: &FeatureMatch, rig: &StereoRig) -> Row {
+/// A match in normalised coordinates.
+fn row(of: &FeatureMatch, rig: &StereoRig) -> Row<N> {
     let [left_x, left_y, _] = rig.left.camera_from_pixel(of.left);
     let [x, right_y, _] = rig.right.camera_from_pixel(of.right);
     let (y, d) = (left_y, left_x - x);
@@ -323,101 +320,9 @@ fn row(of: &FeatureMatch, rig: &StereoRig) -> Row {
     };
     Row {
         slopes,
-        dv: right_y - left_y,
+        value: right_y - left_y,
         frame: of.frame,
         cell: cell(of.left[1], rig.left.height, CELLS[1]) * CELLS[0]
             + cell(of.left[0], rig.left.width, CELLS[0]),
     }
-}
-
-/// Parameters, weights of the rows and standard deviation of what remains, by iteratively reweighted
-/// least squares.
-fn robust(rows: &[Row]) -> Result<([f64; N], Vec<f64>, f64)> {
-    let mut values: Vec<f64> = rows.iter().map(|row| row.dv).collect();
-    let mut parameters = [0.0; N];
-    parameters[PITCH] = median(&mut values);
-    let mut weights = vec![1.0; rows.len()];
-    let mut sigma = LEAST_SIGMA;
-    for round in 0..ROUNDS {
-        let residuals: Vec<f64> = rows
-            .iter()
-            .map(|row| row.dv - dot(&row.slopes, &parameters))
-            .collect();
-        let mut sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
-        sigma = (SIGMA_OF_MEDIAN * median(&mut sizes)).max(LEAST_SIGMA);
-        for (weight, residual) in weights.iter_mut().zip(&residuals) {
-            let size = residual.abs() / sigma;
-            *weight = if round < ROUNDS / 2 {
-                1.0 / size.max(1.5) * 1.5
-            } else {
-                let part = (size / 4.685).min(1.0);
-                (1.0 - part * part) * (1.0 - part * part)
-            };
-        }
-        parameters = solve(rows, &weights, sigma)?.0;
-    }
-    Ok((parameters, weights, sigma))
-}
-
-/// Weighted least squares with the prior: parameters and the information that they rest on.
-fn solve(rows: &[Row], weights: &[f64], sigma: f64) -> Result<([f64; N], Cholesky<N>)> {
-    let mut information = prior();
-    let mut right = [0.0; N];
-    for (row, weight) in rows.iter().zip(weights) {
-        let weight = weight / (sigma * sigma);
-        add_outer(&mut information, &row.slopes, weight);
-        for (right, slope) in right.iter_mut().zip(&row.slopes) {
-            *right += weight * slope * row.dv;
-        }
-    }
-    let cholesky = Cholesky::new(&information).ok_or_else(unsolvable)?;
-    Ok((cholesky.solve(&right), cholesky))
-}
-
-fn prior() -> Matrix<N> {
-    let mut information = [[0.0; N]; N];
-    for (i, spread) in PRIOR.iter().enumerate() {
-        information[i][i] = 1.0 / (spread * spread);
-    }
-    information
-}
-
-fn unsolvable() -> Error {
-    Error::value(
-        "features",
-        "their places are not finite numbers, or all the same",
-        "give pairs of a textured scene",
-    )
-}
-
-fn covariance(
-    rows: &[Row],
-    weights: &[f64],
-    (parameters, sigma): (&[f64; N], f64),
-    bias: f64,
-) -> Result<Matrix<N>> {
-    let (_, cholesky) = solve(rows, weights, sigma)?;
-    let pairs = rows.iter().zip(weights);
-    let scores: Vec<Score<N>> = pairs
-        .map(|(row, weight)| {
-            let residual = row.dv - dot(&row.slopes, parameters);
-            let weight = weight / (sigma * sigma);
-            Score {
-                score: row.slopes.map(|slope| weight * slope * residual),
-                bias: row.slopes.map(|slope| weight * slope * bias),
-                frame: row.frame,
-                cell: row.cell,
-            }
-        })
-        .collect();
-    Ok(spread::covariance(&scores, &cholesky.inverse(), &prior()))
-}
-
-/// The median; 0 of nothing.
-fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

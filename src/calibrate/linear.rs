@@ -94,9 +94,9 @@ mod tests {
             assert!((dot(row, &solution) - right).abs() < 1e-12);
         }
         let inverse = cholesky.inverse();
-        for i in 0..3 {
-            for j in 0..3 {
-                let product = dot(&MATRIX[i], &inverse[j]);
+        for (i, row) in MATRIX.iter().enumerate() {
+            for (j, column) in inverse.iter().enumerate() {
+                let product = dot(row, column);
                 assert!((product - f64::from(u8::from(i == j))).abs() < 1e-12);
             }
         }

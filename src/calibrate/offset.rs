@@ -26,7 +26,8 @@ const WORTH_A_WORD: f64 = 4.0;
 pub struct KnownOffset {
     /// Constant and shape.
     pub terms: DisparityTerms,
-    /// Root mean square of what the readings are off by after the correction, pixels.
+    /// Root mean square of what the readings are off by after the correction, doubtful ones left out,
+    /// pixels.
     pub rms_px: f64,
     /// For each reading, what it is off by after the correction, pixels.
     pub residuals_px: Vec<f64>,
@@ -95,14 +96,19 @@ pub fn offset_from_readings(
         };
     }
     let residuals = residuals(readings, &values, rig);
-    let mean_square = residuals.iter().map(|r| r * r).sum::<f64>() / residuals.len() as f64;
-    let doubtful = readings
+    let doubtful: Vec<usize> = readings
         .iter()
         .zip(&residuals)
         .enumerate()
         .filter(|(_, (reading, residual))| residual.abs() > WORTH_A_WORD * reading.std_px)
         .map(|(index, _)| index)
         .collect();
+    let trusted = residuals.iter().enumerate();
+    let squares: Vec<f64> = trusted
+        .filter(|(index, _)| !doubtful.contains(index))
+        .map(|(_, residual)| residual * residual)
+        .collect();
+    let rms_px = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
     let of_shape = std::array::from_fn(|i| std::array::from_fn(|j| covariance[i + 1][j + 1]));
     let [constant_px, x_px, y_px, xx_px, xy_px] = values;
     let terms = DisparityTerms {
@@ -118,7 +124,7 @@ pub fn offset_from_readings(
     terms.check()?;
     Ok(KnownOffset {
         terms,
-        rms_px: mean_square.sqrt(),
+        rms_px,
         residuals_px: residuals,
         doubtful,
     })

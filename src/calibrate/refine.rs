@@ -3,7 +3,8 @@
 //! Rows that are off by less than a pixel do no harm to the matching of vehicles, which looks a row
 //! up and down: such a calibration keeps its cameras, its images stay what they are, and only the
 //! error of disparities is added to it. Where rows are off by more, the right camera is turned (pitch
-//! and roll) and moved up or down in it, so that rectification resamples the images; the error of
+//! and roll) and moved up or down in it, and its principal point too, so that rectification resamples
+//! the images; the error of
 //! disparities is then that of the newly rectified images. Yaw always remains an error of
 //! disparities: the constant that belongs to it cannot be seen.
 
@@ -89,7 +90,7 @@ impl Refined {
             )
         };
         let parts = if is_turned {
-            turned(parts, views.as_ref(), fit, rig.baseline_m)
+            turned(&parts, views.as_ref(), fit, rig.baseline_m)
         } else {
             parts
         };
@@ -126,7 +127,7 @@ impl Refined {
 
 /// The cameras with the right one turned and moved as the rows of rectified images say.
 fn turned(
-    parts: CalibrationParts,
+    parts: &CalibrationParts,
     views: Option<&[RectifiedView; 2]>,
     fit: &RectificationFit,
     baseline_m: f64,
@@ -138,10 +139,14 @@ fn turned(
     let turn = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::from_array(fit.turn())));
     let right_from_rectified = right * turn;
     let place_m = DVec3::new(baseline_m, -fit.rise() * baseline_m, 0.0);
+    let [left_camera, mut right_camera] = parts.cameras;
+    let intrinsics = &mut right_camera.intrinsics;
+    intrinsics.center_y_px += fit.shift() * intrinsics.focal_y_px;
     CalibrationParts {
+        cameras: [left_camera, right_camera],
         rotation: right_from_rectified * left.transpose(),
         translation_m: -(right_from_rectified * place_m),
-        ..parts
+        ..*parts
     }
 }
 

@@ -19,7 +19,7 @@ const CHANCE: f64 = 0.8;
 /// likelihood, its frame and the part of the image that it lies in.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Score<const N: usize> {
-    pub score: [f64; N],
+    pub own: [f64; N],
     /// The score that matching's own error, alike in one part of the image, would add.
     pub bias: [f64; N],
     pub frame: u32,
@@ -33,7 +33,7 @@ pub(super) fn covariance<const N: usize>(
     bread: &Matrix<N>,
     prior: &Matrix<N>,
 ) -> Matrix<N> {
-    let own = |score: &Score<N>| score.score;
+    let own = |score: &Score<N>| score.own;
     let (places, _) = spread(scores, |score| (0, score.cell), own);
     let (parts, _) = spread(scores, |score| (score.frame, score.cell), own);
     let (frames, count) = spread(scores, |score| (score.frame, 0), own);

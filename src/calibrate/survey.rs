@@ -146,6 +146,9 @@ impl Survey {
         let images = match frame.images.and_then(|images| calibrated.rectify(images)) {
             Ok(images) => images,
             Err(error) => {
+                let lines = known.iter().map(|known| known.line);
+                self.unread
+                    .extend(lines.map(|line| format!("line {line}: its pair cannot be used")));
                 self.unusable.push(format!("{}: {error}", frame.name));
                 return false;
             }

@@ -3,9 +3,11 @@
 mod hostile;
 mod scene;
 
+use glam::{DMat3, DVec3};
+
 use super::*;
 use crate::calibration::{CalibratedRig, LoadOptions, RigOptions, from_text, to_toml};
-use crate::geometry::DisparityCorrection;
+use crate::geometry::{CalibrationParts, DisparityCorrection, StereoCalibration};
 use crate::progress::Silent;
 use scene::{SIZE, Wrong, calibrated, calibration, distance_m, frames, rig};
 
@@ -136,17 +138,22 @@ const TURNED: Wrong = Wrong {
 
 /// Everything from images to the correction.
 fn corrected(wrong: Wrong) -> (Refined, KnownOffset) {
+    refined_and_corrected(&calibration(), wrong)
+}
+
+fn refined_and_corrected(calibration: &StereoCalibration, wrong: Wrong) -> (Refined, KnownOffset) {
+    let calibrated = CalibratedRig::new(calibration, SIZE, RigOptions::default()).unwrap();
     let known: Vec<_> = (0..2).flat_map(known).collect();
     assert!(known.len() >= 16, "{}", known.len());
     let options = SurveyOptions::default();
     let frames = frames(FRAMES, wrong).into_iter();
-    let found = survey(frames, &calibrated(), &known, options, &Silent).unwrap();
+    let found = survey(frames, &calibrated, &known, options, &Silent).unwrap();
     assert!(found.readings.len() >= 12, "{:?}", found.unread);
     let fit = RectificationFit::new(&found.matches, &found.rig).unwrap();
     let refined = Refined::new(
-        &calibration(),
+        calibration,
         RigOptions::default(),
-        &calibrated(),
+        &calibrated,
         &found,
         &fit,
     )
@@ -191,8 +198,8 @@ fn a_correction_of_rows_alone_has_the_shape_of_the_true_error() {
     // Far points, seen by the right camera as it is and as it should be.
     let true_px = |pixel: [f64; 2]| {
         let [x, y, _] = rig().left.camera_from_pixel(pixel);
-        let turn = glam::DVec3::from_array(TURNED.turn_deg.map(f64::to_radians));
-        let seen = glam::DQuat::from_scaled_axis(turn) * glam::DVec3::new(x, y, 1.0);
+        let turn = DVec3::from_array(TURNED.turn_deg.map(f64::to_radians));
+        let seen = glam::DQuat::from_scaled_axis(turn) * DVec3::new(x, y, 1.0);
         rig().focal_px() * (x - seen.x / seen.z)
     };
     let middle = true_px([320.0, 144.0]);
@@ -239,6 +246,34 @@ fn rows_that_are_far_off_are_mended_by_turning_the_camera() {
     assert!(fit.rows_off_px < 0.3, "{fit:?}");
     let correction = mended.disparity_correction().unwrap();
     assert_eq!(correction.terms(), &offset.terms);
+}
+
+#[test]
+fn cameras_that_need_rectification_are_checked_in_rectified_images() {
+    // What the calibration knows is a turn by a degree; it does not know of the roll.
+    let wrong = Wrong {
+        turn_deg: [0.0, 1.0, 0.1],
+        ..Wrong::default()
+    };
+    let turn = DMat3::from_rotation_y(1.0_f64.to_radians());
+    let parts = CalibrationParts {
+        rotation: turn,
+        translation_m: turn * DVec3::new(-0.5, 0.0, 0.0),
+        ..CalibrationParts::rectified(
+            Some(SIZE),
+            [rig().left.intrinsics(), rig().right.intrinsics()],
+            0.5,
+        )
+    };
+    let calibration = StereoCalibration::new(parts, None).unwrap();
+    assert!(!calibration.is_rectified());
+    // The known distances are those of other pixels here: only rows are looked at.
+    let (refined, _) = refined_and_corrected(&calibration, wrong);
+    assert!(!refined.is_turned, "{:?}", refined.fit);
+    check("roll", refined.fit.roll_deg, 0.1, 0.01);
+    check("yaw", refined.fit.yaw_deg, 0.0, 0.05);
+    check("rows", refined.fit.row_offset_px, 0.0, 0.03);
+    assert_eq!(refined.calibration, calibration);
 }
 
 #[test]

@@ -48,13 +48,13 @@ pub struct CalibrateArgs {
     /// At most this many pairs, evenly spread
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), default_value_t = 100)]
     frames: u32,
-    /// Known distances, a table with the columns image, x, y, distance_m: a pixel of the left
-    /// rectified image and how far the surface that it shows is from the middle between the cameras,
-    /// metres. Or image, x_min, y_min, x_max, y_max, distance_m: the box of a car and the distance of
-    /// its centre, which lies behind the surface by half the car. Points are exacter. A column
-    /// distance_std_m says how exact the distances are [default: 1 %]. Far places (small disparities)
-    /// tell most; about ten of them, from the left border to the right one, also tell how the error
-    /// changes across the image
+    /// Known distances, a table with the columns `image,x,y,distance_m`: a pixel of the left rectified
+    /// image and how far the surface that it shows is from the middle between the cameras, metres. Or
+    /// `image,x_min,y_min,x_max,y_max,distance_m`: the box of a car and the distance of its centre,
+    /// which lies behind the surface by half the car. Points are exacter. A column `distance_std_m`
+    /// says how exact the distances are [default: 1 %]. Far places (small disparities) tell most; about
+    /// ten of them, from the left border to the right one, also tell how the error changes across the
+    /// image
     #[arg(long, value_name = "FILE")]
     distances: Option<PathBuf>,
     /// Write the calibration there, as TOML
@@ -112,8 +112,7 @@ impl CalibrateArgs {
             len,
             calibration,
         } = self.pairs()?;
-        let mut frames = frames.peekable();
-        let calibrated = self.calibrated(&calibration, &mut frames)?;
+        let (calibrated, frames) = self.calibrated(&calibration, frames)?;
         if !quiet {
             say(calibrated.note());
             if calibration.disparity_correction().is_some() {
@@ -174,32 +173,28 @@ impl CalibrateArgs {
         })
     }
 
-    /// The rig ready for the first usable pair; pairs before it are skipped with their reasons.
+    /// The rig ready for the first usable pair, and all pairs.
     fn calibrated(
         &self,
         calibration: &StereoCalibration,
-        frames: &mut std::iter::Peekable<Box<dyn Iterator<Item = StereoFrame>>>,
-    ) -> Result<CalibratedRig> {
-        let mut first = None;
-        loop {
-            match frames.peek().map(|frame| &frame.images) {
-                Some(Ok([left, _])) => {
-                    return self.calibration.rig(calibration, left.dimensions());
-                }
-                Some(Err(_)) => {
-                    let broken = frames.next().and_then(|frame| frame.images.err());
-                    if let Some(broken) = broken {
-                        say([&broken]);
-                        first = first.or(Some(broken));
-                    }
-                }
-                None => {
-                    return Err(first.unwrap_or_else(|| {
-                        Error::value("pairs", "there are none", "give images of both cameras")
-                    }));
-                }
-            }
+        mut frames: Box<dyn Iterator<Item = StereoFrame>>,
+    ) -> Result<(CalibratedRig, impl Iterator<Item = StereoFrame>)> {
+        let mut first: Vec<StereoFrame> = Vec::new();
+        while first.last().is_none_or(|frame| frame.images.is_err())
+            && let Some(frame) = frames.next()
+        {
+            first.push(frame);
         }
+        let size = match first.last().map(|frame| frame.images.as_ref()) {
+            Some(Ok([left, _])) => left.dimensions(),
+            Some(Err(_)) => {
+                let broken = first.into_iter().find_map(|frame| frame.images.err());
+                return Err(broken.unwrap_or_else(no_pairs));
+            }
+            None => return Err(no_pairs()),
+        };
+        let calibrated = self.calibration.rig(calibration, size)?;
+        Ok((calibrated, first.into_iter().chain(frames)))
     }
 
     fn survey(
@@ -248,6 +243,10 @@ impl CalibrateArgs {
             constant,
         })
     }
+}
+
+fn no_pairs() -> Error {
+    Error::value("pairs", "there are none", "give images of both cameras")
 }
 
 /// The pairs of a dataset and its rig.

@@ -93,8 +93,8 @@ impl DisparityTerms {
             ("xx_px", self.xx_px),
             ("xy_px", self.xy_px),
         ] {
-            // Not a number is not below the limit either.
-            if !((value / self.focal_px).abs() <= LARGEST) {
+            let angle = (value / self.focal_px).abs();
+            if angle.is_nan() || angle > LARGEST {
                 return refuse(
                     name,
                     value,

@@ -43,7 +43,7 @@ pub fn header(findings: &Findings) -> String {
         Constant::Unknown => "the constant of its disparities is not known".to_owned(),
         Constant::Known(offset) => {
             let count = offset.residuals_px.len();
-            format!("and from {count} known distances")
+            format!("the constant from {count} known distances")
         }
     };
     format!(
@@ -175,7 +175,9 @@ fn disparities(text: &mut String, findings: &Findings) {
         write!(text, "  row {:>4.0}", part * height).ok();
         for column in columns {
             let delta_px = correction.delta_px([column * width, part * height]);
-            write!(text, "{:>+8.2}", delta_px + 0.0).ok();
+            // No -0.00.
+            let rounded = (100.0 * delta_px).round() / 100.0 + 0.0;
+            write!(text, "{rounded:>+8.2}").ok();
         }
         text.push('\n');
     }
@@ -183,8 +185,8 @@ fn disparities(text: &mut String, findings: &Findings) {
         Constant::Unknown => {
             writeln!(
                 text,
-                "The constant that belongs to it cannot be seen in rows; rigs are off by ± {:.1} px. \
-                 Half a pixel\ntoo much is {}. --distances finds it.",
+                "  The constant that belongs to it cannot be seen in rows; rigs are off by ± {:.1} px. \
+                 Half a pixel too\n  much is {}.\n  --distances finds it.",
                 terms.constant_std_px,
                 meaning(findings, 0.5)
             )
@@ -198,7 +200,7 @@ fn known(text: &mut String, findings: &Findings, offset: &KnownOffset) {
     let terms = &findings.terms;
     writeln!(
         text,
-        "{} known distances: {:+.2} ± {:.2} px at the middle, which is {} uncorrected.\n\
+        "  {} known distances: {:+.2} ± {:.2} px at the middle; uncorrected, that is\n  {}.\n  \
          Corrected, they are off by {:.2} px (root mean square).",
         offset.residuals_px.len(),
         terms.constant_px,
