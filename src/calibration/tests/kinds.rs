@@ -139,7 +139,7 @@ fn middlebury_cityscapes_and_driving_stereo_are_rectified_rigs() {
     assert_plain(&rig_of(kitti_360, [640, 360]));
 }
 
-/// An EuRoC camera that stands so many metres along the body's x.
+/// An `EuRoC` camera that stands so many metres along the body's x.
 fn sensor(x_m: f64, lens: &str) -> String {
     format!(
         "#Default imu sensor yaml file\nsensor_type: camera\ncomment: VI-Sensor cam0\n\n\
@@ -345,8 +345,8 @@ fn echo(x: f64, is_second: bool, stamp: u32) -> String {
     let roi = "binning_x: 0\nbinning_y: 0\nroi:\n  x_offset: 0\n  y_offset: 0\n  height: 0\n  width: 0\n  do_rectify: false\n---\n";
     if is_second {
         let list = |name: &str, values: &[f64]| {
-            let lines: String = values.iter().map(|v| format!("- {v:?}\n")).collect();
-            format!("{name}:\n{lines}")
+            let lines: Vec<String> = values.iter().map(|v| format!("- {v:?}")).collect();
+            format!("{name}:\n{}\n", lines.join("\n"))
         };
         return format!(
             "header:\n  stamp:\n    sec: {stamp}\n    nanosec: 3\n  frame_id: left\nheight: 360\nwidth: \
