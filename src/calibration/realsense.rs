@@ -30,13 +30,12 @@ const REMEDY: &str = "save the calibration again, with both infrared cameras and
 const LEAST_MM: f64 = 5.0;
 
 /// Names of the left and the right camera.
-const SIDES: [[&str; 2]; 6] = [
+const SIDES: [[&str; 2]; 5] = [
     ["infra1", "infra2"],
     ["infrared1", "infrared2"],
     ["ir1", "ir2"],
     ["left", "right"],
     ["cam0", "cam1"],
-    ["left_ir", "right_ir"],
 ];
 
 /// `RealSense`'s files.
@@ -159,7 +158,9 @@ fn streams(values: &BTreeMap<String, f64>) -> Result<Resolution<[Intrinsics; 2]>
         .filter_map(|name| name.strip_suffix(".ppx"))
         .collect();
     let of_side = |word: &str| {
-        let is_side = |name: &&&str| name.split('.').any(|part| part == word);
+        // `infra1`, `Infrared 1` and `infra1_intrinsics` are the same.
+        let plain = |part: &str| part.replace(|c: char| !c.is_alphanumeric(), "");
+        let is_side = |name: &&&str| name.split('.').any(|part| plain(part).contains(word));
         names.iter().find(is_side).copied()
     };
     let sides = SIDES
