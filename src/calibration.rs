@@ -47,6 +47,7 @@ mod resolution;
 mod rig;
 mod ros;
 mod settings;
+mod writer;
 mod zed;
 
 use std::fs::File;
@@ -58,6 +59,7 @@ use crate::geometry::StereoCalibration;
 
 pub use format::{KnownFormat, known};
 pub use rig::{CalibratedRig, ImageState, RigOptions};
+pub use writer::to_toml;
 
 /// The largest file that is read, bytes: calibrations have one or two thousand.
 const MOST_BYTES: u64 = 1 << 20;

@@ -24,6 +24,8 @@
 //! metres                                              [`pipeline::StereoRanger`]
 //! ```
 //!
+//! [`calibrate`](mod@calibrate) says from pairs how well a rig is calibrated.
+//!
 //! [`sources`] brings pairs from files, folders and videos, and [`predict`](mod@predict) takes what
 //! is found in them to files.
 //!
@@ -78,6 +80,7 @@
 
 pub mod ablate;
 pub mod annotate;
+pub mod calibrate;
 pub mod calibration;
 pub mod dataset;
 pub mod detector;

@@ -11,7 +11,7 @@
 //! * [`search`](search::search) finds it in the pixels of the right image, where no detector needs
 //!   to run.
 
-mod correlation;
+pub(crate) mod correlation;
 pub mod search;
 
 use std::fmt;

@@ -172,6 +172,7 @@ fn raw(text: &str, cameras: [&str; 2]) -> Result<CalibrationParts> {
             intrinsics: pair.intrinsics,
             baseline_m: pair.baseline_m(),
         }),
+        disparity_correction: None,
     })
 }
 

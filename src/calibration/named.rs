@@ -172,6 +172,7 @@ fn parts(entries: &Entries) -> Result<CalibrationParts> {
         rotation,
         translation_m,
         given,
+        disparity_correction: None,
     })
 }
 

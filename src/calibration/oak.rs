@@ -91,6 +91,7 @@ impl Format for Oak {
             rotation: right_from_root * left.0,
             translation_m: right_from_root * (left.1 - right.1) / 100.0,
             given: None,
+            disparity_correction: None,
         })
     }
 }

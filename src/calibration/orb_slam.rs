@@ -92,6 +92,7 @@ impl Format for OrbSlam {
                 rotation,
                 translation_m,
                 given: None,
+                disparity_correction: None,
             });
         }
         let focal_px = left.intrinsics.focal_x_px;

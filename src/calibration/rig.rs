@@ -3,7 +3,7 @@
 use image::RgbImage;
 
 use crate::error::{Error, Result};
-use crate::geometry::{Rectification, StereoCalibration, StereoRig};
+use crate::geometry::{DisparityCorrection, Rectification, StereoCalibration, StereoRig};
 use crate::imaging::PixelMap;
 use crate::ranging::RigNote;
 
@@ -37,6 +37,7 @@ pub struct CalibratedRig {
     /// None for images that are rectified already.
     maps: Option<[PixelMap; 2]>,
     scaled_from: Option<[u32; 2]>,
+    disparity_correction: Option<DisparityCorrection>,
 }
 
 impl CalibratedRig {
@@ -64,12 +65,20 @@ impl CalibratedRig {
                 calibration.is_rectified() || (differ && rectified_size == Some(size))
             }
         };
+        let correction = |rig: &StereoRig| {
+            let terms = calibration.disparity_correction();
+            terms
+                .map(|terms| DisparityCorrection::new(*terms, rig.left))
+                .transpose()
+        };
         if is_rectified {
+            let rig = calibration.rectified_rig(size)?;
             return Ok(Self {
                 size,
-                rig: calibration.rectified_rig(size)?,
+                rig,
                 maps: None,
                 scaled_from: rectified_size.filter(|own| *own != size),
+                disparity_correction: correction(&rig)?,
             });
         }
         let rectification = Rectification::new(calibration, size, options.alpha)?;
@@ -83,12 +92,19 @@ impl CalibratedRig {
             rig: rectification.rig,
             maps: Some(maps),
             scaled_from: calibration.size().filter(|own| *own != size),
+            disparity_correction: correction(&rectification.rig)?,
         })
     }
 
     /// The rig of the rectified images.
     pub fn rig(&self) -> &StereoRig {
         &self.rig
+    }
+
+    /// What measured disparities of the rectified images are too large by, where the calibration says
+    /// so.
+    pub fn disparity_correction(&self) -> Option<&DisparityCorrection> {
+        self.disparity_correction.as_ref()
     }
 
     /// Size of the images that it takes, pixels.

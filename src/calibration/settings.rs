@@ -3,12 +3,14 @@
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::LoadOptions;
 use super::format::Format;
 use crate::error::{Error, Result};
-use crate::geometry::{CalibrationParts, Camera, Distortion, Intrinsics, LensCamera};
+use crate::geometry::{
+    CalibrationParts, Camera, DisparityTerms, Distortion, Intrinsics, LensCamera, StereoCalibration,
+};
 
 /// This program's own form.
 pub(super) struct Settings;
@@ -52,28 +54,36 @@ impl Format for Settings {
 }
 
 /// A calibration as people write it; a dataset's `[rig]` is one too.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Written {
+pub(super) struct Written {
     width: u32,
     height: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
     hfov_deg: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     baseline_m: Option<f64>,
-    left: Option<CameraSettings>,
-    right: Option<CameraSettings>,
-    /// Rows of the matrix that takes the left camera's axes to the right one's.
-    rotation: Option<[[f64; 3]; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     translation_m: Option<[f64; 3]>,
+    /// Rows of the matrix that takes the left camera's axes to the right one's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rotation: Option<[[f64; 3]; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    left: Option<CameraSettings>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    right: Option<CameraSettings>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    disparity_correction: Option<DisparityTerms>,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CameraSettings {
     focal_x_px: f64,
     focal_y_px: f64,
     center_x_px: f64,
     center_y_px: f64,
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     distortion: Vec<f64>,
 }
 
@@ -150,7 +160,49 @@ fn parts(settings: Written, baseline_m: Option<f64>) -> Result<CalibrationParts>
         rotation,
         translation_m,
         given: None,
+        disparity_correction: settings.disparity_correction,
     })
+}
+
+impl Written {
+    /// What is written of a calibration; None for one without a size.
+    pub fn of(calibration: &StereoCalibration) -> Option<Self> {
+        let [width, height] = calibration.size()?;
+        let [left, right] = calibration.cameras().each_ref().map(camera_settings);
+        let is_rectified = calibration.is_rectified();
+        let rotation = calibration.right_from_left().transpose();
+        Some(Self {
+            width,
+            height,
+            hfov_deg: None,
+            baseline_m: is_rectified.then(|| calibration.baseline_m()),
+            translation_m: (!is_rectified).then(|| calibration.translation_m().to_array()),
+            rotation: (!is_rectified).then(|| rotation.to_cols_array_2d()),
+            left: Some(left),
+            right: Some(right),
+            disparity_correction: calibration.disparity_correction().copied(),
+        })
+    }
+}
+
+fn camera_settings(camera: &LensCamera) -> CameraSettings {
+    let Intrinsics {
+        focal_x_px,
+        focal_y_px,
+        center_x_px,
+        center_y_px,
+    } = camera.intrinsics;
+    CameraSettings {
+        focal_x_px,
+        focal_y_px,
+        center_x_px,
+        center_y_px,
+        distortion: if camera.distortion.is_none() {
+            Vec::new()
+        } else {
+            camera.distortion.coefficients().to_vec()
+        },
+    }
 }
 
 fn plain(camera: Camera) -> LensCamera {

@@ -120,6 +120,7 @@ impl Format for Zed {
             rotation: rotation.rotation("[STEREO] RX, CV and RZ")?,
             translation_m: -DVec3::new(baseline_mm, or_zero("ty"), or_zero("tz")) / 1000.0,
             given: None,
+            disparity_correction: None,
         })
     }
 }

@@ -12,7 +12,7 @@ use super::{stderr, values};
 
 /// Which cameras took the images.
 #[derive(Debug, Args)]
-#[command(next_help_heading = "Other cameras than the trained ones")]
+#[command(next_help_heading = "The cameras that took the images")]
 pub struct CalibrationArgs {
     /// Calibration of the cameras that took the images (given twice where it is in two files): OpenCV's
     /// stereo YAML, ROS, Kalibr, KITTI, ZED, OAK-D, RealSense, EuRoC, ORB_SLAM, Middlebury, Cityscapes,
@@ -54,17 +54,22 @@ impl CalibrationArgs {
         load(&self.calib, &options).map(Some)
     }
 
-    /// The calibration ready for images of this size.
-    pub fn rig(&self, calibration: &StereoCalibration, size: (u32, u32)) -> Result<CalibratedRig> {
-        let options = RigOptions {
+    /// How the calibration is used.
+    pub fn options(&self) -> RigOptions {
+        RigOptions {
             images: if self.calib_rectified {
                 ImageState::Rectified
             } else {
                 ImageState::Auto
             },
             alpha: self.calib_alpha.map(f64::from),
-        };
-        CalibratedRig::new(calibration, size.into(), options).map_err(|error| self.of_file(error))
+        }
+    }
+
+    /// The calibration ready for images of this size.
+    pub fn rig(&self, calibration: &StereoCalibration, size: (u32, u32)) -> Result<CalibratedRig> {
+        CalibratedRig::new(calibration, size.into(), self.options())
+            .map_err(|error| self.of_file(error))
     }
 
     /// The error of a value, said of the file that it comes from.

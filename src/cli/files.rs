@@ -35,6 +35,14 @@ impl Kind {
         name: "a picture",
         endings: &["png", "jpg", "jpeg"],
     };
+    pub const DRAWING: Self = Self {
+        name: "an SVG picture",
+        endings: &["svg"],
+    };
+    pub const CALIBRATION: Self = Self {
+        name: "a calibration",
+        endings: &["toml"],
+    };
     pub const VIDEO: Self = Self {
         name: "a video",
         endings: &["mp4", "mkv", "mov", "webm", "avi"],

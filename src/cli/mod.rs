@@ -4,6 +4,7 @@
 //! to standard error.
 
 mod ablate;
+mod calibrate;
 mod calibration;
 mod devices;
 mod evaluate;
@@ -70,6 +71,7 @@ enum Command {
     Ablate(ablate::AblateArgs),
     Report(report::ReportArgs),
     Predict(Box<predict::PredictArgs>),
+    Calibrate(calibrate::CalibrateArgs),
     Devices(devices::DevicesArgs),
     #[cfg(feature = "remote")]
     Worker(worker::WorkerArgs),
@@ -90,6 +92,7 @@ impl Cli {
             Command::Ablate(args) => args.run(self.quiet),
             Command::Report(args) => args.run(self.quiet),
             Command::Predict(args) => args.run(self.quiet),
+            Command::Calibrate(args) => args.run(self.quiet),
             Command::Devices(_) => devices::DevicesArgs::run(),
             #[cfg(feature = "remote")]
             Command::Worker(args) => args.run(),

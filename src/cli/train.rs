@@ -135,7 +135,7 @@ enum StageName {
     All,
     /// The detector: finds vehicles in an image
     Detector,
-    /// The distance network: tells the metres to a vehicle that was found
+    /// The distance network, which tells the metres to a vehicle that was found, and the size network
     Distance,
 }
 
@@ -151,9 +151,9 @@ impl StageName {
     /// The networks' sections in the settings.
     fn sections(self) -> &'static [&'static str] {
         match self {
-            Self::All => &["detector", "distance"],
+            Self::All => &["detector", "distance", "size"],
             Self::Detector => &["detector"],
-            Self::Distance => &["distance"],
+            Self::Distance => &["distance", "size"],
         }
     }
 }
@@ -257,11 +257,13 @@ impl TrainArgs {
             // A forward pass cannot hold more than a batch.
             let config = resolve(&flags)?;
             for &section in self.stage.sections() {
+                set(&mut flags, section, "batch", i64::from(batch));
                 let micro_batch = match section {
                     "detector" => config.detector.micro_batch,
-                    _ => config.distance.micro_batch,
+                    "distance" => config.distance.micro_batch,
+                    // The size network's passes are whole batches.
+                    _ => continue,
                 };
-                set(&mut flags, section, "batch", i64::from(batch));
                 let micro_batch = i64::try_from(micro_batch).unwrap_or(i64::MAX);
                 set(
                     &mut flags,
@@ -345,9 +347,8 @@ impl TrainArgs {
     /// The figures, where things are, and what to type next.
     fn report(&self, summary: &TrainSummary, job: &Job) -> String {
         let run = &job.run;
-        let missing = StageName::All
-            .sections()
-            .iter()
+        let missing = ["detector", "distance"]
+            .into_iter()
             .find(|stage| !StageFolder::new(run, stage).best().exists());
         let next = match missing {
             // Single images show no distance.

@@ -20,7 +20,7 @@ mod resplit;
 mod source;
 pub(crate) mod stamp;
 
-pub(crate) use cache::DecodedCache;
+pub(crate) use cache::{Decoded, DecodedCache};
 pub use composite::{CompositeSize, composite, composite_into_planes, geometry_vector};
 pub(crate) use composite::{Half, half_into_planes};
 pub use composite_set::{CompositeItem, CompositeSet, CompositeStatistics, SplitCounts};

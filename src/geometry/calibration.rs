@@ -5,7 +5,7 @@ mod checks;
 use glam::{DMat3, DVec3};
 
 use super::resized::scale_to;
-use super::{Camera, Distortion, Intrinsics, RigSettings, StereoRig};
+use super::{Camera, DisparityTerms, Distortion, Intrinsics, RigSettings, StereoRig};
 use crate::error::{Error, Result};
 
 use checks::{check_center, check_intrinsics, orthonormal, orthonormal_given};
@@ -52,6 +52,8 @@ pub struct CalibrationParts {
     pub translation_m: DVec3,
     /// What is said of rectified images.
     pub given: Option<GivenRectification>,
+    /// What is known of the error of disparities in the rectified images.
+    pub disparity_correction: Option<DisparityTerms>,
 }
 
 impl CalibrationParts {
@@ -66,6 +68,7 @@ impl CalibrationParts {
             rotation: DMat3::IDENTITY,
             translation_m: DVec3::new(-baseline_m, 0.0, 0.0),
             given: None,
+            disparity_correction: None,
         }
     }
 }
@@ -78,6 +81,7 @@ pub struct StereoCalibration {
     rotation: DMat3,
     translation_m: DVec3,
     given: Option<GivenRectification>,
+    disparity_correction: Option<DisparityTerms>,
 }
 
 impl StereoCalibration {
@@ -95,7 +99,11 @@ impl StereoCalibration {
             rotation,
             translation_m,
             given,
+            disparity_correction,
         } = parts;
+        if let Some(terms) = &disparity_correction {
+            terms.check()?;
+        }
         for (side, camera) in SIDES.iter().zip(&cameras) {
             check_intrinsics(side, &camera.intrinsics, size)?;
         }
@@ -111,6 +119,7 @@ impl StereoCalibration {
             rotation: orthonormal("R", rotation)?,
             translation_m,
             given: given.map(orthonormal_given).transpose()?,
+            disparity_correction,
         };
         calibration.check_places()?;
         let Some(baseline_m) = baseline_m else {
@@ -176,6 +185,23 @@ impl StereoCalibration {
     /// What the file says of its rectified images.
     pub fn given(&self) -> Option<&GivenRectification> {
         self.given.as_ref()
+    }
+
+    /// What is known of the error of disparities in the rectified images.
+    pub fn disparity_correction(&self) -> Option<&DisparityTerms> {
+        self.disparity_correction.as_ref()
+    }
+
+    /// The calibration with another knowledge of that error.
+    ///
+    /// # Errors
+    /// As [`DisparityTerms::check`].
+    pub fn with_disparity_correction(mut self, terms: Option<DisparityTerms>) -> Result<Self> {
+        if let Some(terms) = &terms {
+            terms.check()?;
+        }
+        self.disparity_correction = terms;
+        Ok(self)
     }
 
     /// Whether images come out of the cameras rectified: no distortion, parallel axes, the right

@@ -168,9 +168,26 @@ pub(super) fn quantile(sorted: &[f64], share: f64) -> f64 {
     below + (above - below) * position.fract()
 }
 
+/// Quantile of values in any order, linear between neighbours; no number of none.
+pub(crate) fn quantile_of(values: impl Iterator<Item = f64>, share: f64) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    if values.is_empty() {
+        return f64::NAN;
+    }
+    values.sort_by(f64::total_cmp);
+    quantile(&values, share)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn quantiles_lie_between_the_values() {
+        assert_eq!(quantile_of([3.0, 1.0, 2.0].into_iter(), 0.5), 2.0);
+        assert_eq!(quantile_of([1.0, 2.0].into_iter(), 0.75), 1.75);
+        assert!(quantile_of(std::iter::empty(), 0.5).is_nan());
+    }
 
     fn errors(pairs: &[(f64, f64)]) -> DistanceErrors {
         let mut errors = DistanceErrors::new();

@@ -13,5 +13,6 @@ pub use bootstrap::{Interval, Resamples};
 pub use coco::CocoSummary;
 pub use confusion::Confusion;
 pub use curves::{CONFIDENCE_STEPS, DetectionCurves};
+pub(crate) use distance::quantile_of;
 pub use distance::{DistanceErrors, DistanceSummary};
 pub use matching::IOU_THRESHOLDS;

@@ -20,7 +20,7 @@ const LEAST_VARIANCE: f64 = 0.01;
 /// A grid of points in an image: pixel coordinates of the first point, step and number along x
 /// and y.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Grid {
+pub(crate) struct Grid {
     pub first: [f64; 2],
     pub step: [f64; 2],
     pub width: usize,
@@ -31,7 +31,7 @@ pub(super) struct Grid {
 ///
 /// Columns that lie outside the image are 0 and not `visible`; rows outside repeat the nearest row.
 #[derive(Debug, Clone)]
-pub(super) struct GreyPlane {
+pub(crate) struct GreyPlane {
     pub width: usize,
     pub height: usize,
     /// Distance of rows in `values`: at least `LANES` more than `width`, so that whole vectors can
@@ -158,7 +158,7 @@ impl Tap {
 
 /// A patch that is looked for, with the weight of each of its points.
 #[derive(Debug, Clone)]
-pub(super) struct Template {
+pub(crate) struct Template {
     pub width: usize,
     pub height: usize,
     /// Distance of rows: `width` filled up to whole vectors with weight 0.
@@ -179,14 +179,30 @@ impl Template {
     pub fn new(plane: &GreyPlane, [columns, rows]: [&[f32]; 2]) -> Option<Self> {
         let (width, height) = (plane.width, plane.height);
         assert_eq!((columns.len(), rows.len()), (width, height), "weights");
+        let weight = |x: usize, y: usize| columns[x] * rows[y];
+        Self::window(plane, [0, 0], [width, height], weight)
+    }
+
+    /// A part of a plane, all of it visible, from its first point `[x, y]` on, of this width and
+    /// height, with a weight for each of its points. None where the grey values do not differ.
+    ///
+    /// # Panics
+    /// When the part reaches out of the plane.
+    pub fn window(
+        plane: &GreyPlane,
+        [left, top]: [usize; 2],
+        [width, height]: [usize; 2],
+        weight: impl Fn(usize, usize) -> f32,
+    ) -> Option<Self> {
         let stride = width.next_multiple_of(LANES);
         let mut weights = vec![0.0; stride * height];
-        for (row, row_weight) in weights.chunks_exact_mut(stride).zip(rows) {
-            for (weight, column_weight) in row.iter_mut().zip(columns) {
-                *weight = row_weight * column_weight;
+        for (y, row) in weights.chunks_exact_mut(stride).enumerate() {
+            for (x, value) in row[..width].iter_mut().enumerate() {
+                *value = weight(x, y);
             }
         }
-        let value = |x: usize, y: usize| f64::from(plane.values[y * plane.stride + x]);
+        let value =
+            |x: usize, y: usize| f64::from(plane.values[(top + y) * plane.stride + left + x]);
         let weight = |x: usize, y: usize| f64::from(weights[y * stride + x]);
         let (mut total, mut sum) = (0.0, 0.0);
         for y in 0..height {
@@ -219,6 +235,12 @@ impl Template {
             weighted,
             sums_before,
         })
+    }
+
+    /// Standard deviation of its grey values, 8-bit counts.
+    pub fn deviation(&self) -> f64 {
+        let [weight, _, squares] = self.sums_before[self.width];
+        (squares / weight).sqrt()
     }
 
     /// Correlation with the part of a plane whose first point is `(x, y)`; only columns that are

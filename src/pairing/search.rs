@@ -199,13 +199,13 @@ fn distinct(mut partners: Vec<Partner>, left: &[Detection]) -> Vec<Partner> {
 
 /// The way from pixels of the left image to pixels of the right one, given the disparity.
 #[derive(Debug, Clone, Copy)]
-struct RightFromLeft<'a> {
-    rig: &'a StereoRig,
+pub(crate) struct RightFromLeft<'a> {
+    pub rig: &'a StereoRig,
 }
 
 impl RightFromLeft<'_> {
     /// Pixels of the right image for one of the left, along x and y.
-    fn scale(self) -> [f64; 2] {
+    pub fn scale(self) -> [f64; 2] {
         let (left, right) = (&self.rig.left, &self.rig.right);
         [
             right.focal_x_px / left.focal_x_px,
@@ -213,23 +213,26 @@ impl RightFromLeft<'_> {
         ]
     }
 
-    fn x(self, left_x: f64, disparity_px: f64) -> f64 {
+    /// The column of the right image that shows with this disparity what `left_x` shows.
+    pub fn x(self, left_x: f64, disparity_px: f64) -> f64 {
         let (left, right) = (&self.rig.left, &self.rig.right);
         right.center_x_px + (left_x - left.center_x_px - disparity_px) * self.scale()[0]
     }
 
-    fn y(self, left_y: f64) -> f64 {
+    /// The row of the right image that shows what `left_y` shows.
+    pub fn y(self, left_y: f64) -> f64 {
         let (left, right) = (&self.rig.left, &self.rig.right);
         right.center_y_px + (left_y - left.center_y_px) * self.scale()[1]
     }
 
     /// The disparity that brings `left_x` to `right_x`.
-    fn disparity_px(self, left_x: f64, right_x: f64) -> f64 {
+    pub fn disparity_px(self, left_x: f64, right_x: f64) -> f64 {
         let (left, right) = (&self.rig.left, &self.rig.right);
         left_x - left.center_x_px - (right_x - right.center_x_px) / self.scale()[0]
     }
 
-    fn moved(self, b: &PixelBox, disparity_px: f64) -> PixelBox {
+    /// Where a box of the left image lies with this disparity.
+    pub fn moved(self, b: &PixelBox, disparity_px: f64) -> PixelBox {
         PixelBox::new(
             self.x(b.x_min, disparity_px),
             self.y(b.y_min),

@@ -96,6 +96,11 @@ impl StageFolder {
         self.folder.join("best.safetensors")
     }
 
+    /// Weights of the best epoch with their spreads corrected, of the size network.
+    pub fn calibrated(&self) -> PathBuf {
+        self.folder.join("witness.safetensors")
+    }
+
     /// Weights of the last epoch.
     pub fn last(&self) -> PathBuf {
         self.folder.join("last.safetensors")

@@ -35,6 +35,9 @@ pub struct TrainConfig {
     pub detector: DetectorTraining,
     /// The distance network's training.
     pub distance: DistanceTraining,
+    /// The size network's training.
+    #[serde(default)]
+    pub size: SizeTraining,
 }
 
 /// Settings of the detector's training.
@@ -187,6 +190,71 @@ pub struct DistanceTraining {
     pub freeze: Vec<String>,
 }
 
+/// Settings of the size network's training, which is part of the distance network's stage.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SizeTraining {
+    /// Passes over the training vehicles, each of them once in either image; 0 leaves the network out.
+    pub epochs: u32,
+    /// Crops per optimiser step.
+    pub batch: usize,
+    /// What turns gradients into steps.
+    pub optimizer: OptimizerKind,
+    /// Its learning rate.
+    pub learning_rate: f64,
+    /// Last learning rate as a share of the first.
+    pub final_learning_rate: f64,
+    /// How the learning rate falls.
+    pub schedule: Schedule,
+    /// Epochs over which the learning rate rises.
+    pub warmup_epochs: f64,
+    /// Decay of the weights.
+    pub weight_decay: f64,
+    /// Gradients longer than this are scaled down, as one vector over all parameters.
+    pub clip_norm: f64,
+    /// Spread of the boxes' edges around the labels, as a share of the box: a detector's errors.
+    pub box_jitter: f64,
+    /// Largest change of gamma and of the channels' gains, as shares.
+    pub photometric: f64,
+    /// Probability that something hides a part of the crop.
+    pub occlusion: f64,
+    /// Probability that the crop is mirrored.
+    pub flip: f64,
+    /// Share that the averaged weights, which are validated and saved, keep of themselves at every
+    /// step; 0 averages nothing.
+    pub ema_decay: f64,
+    /// Steps over which that share rises.
+    pub ema_ramp: f64,
+    /// Validate every so many epochs; the last one always is.
+    pub validate_every: u32,
+    /// Stop after so many epochs without a better validation result; 0 never stops early.
+    pub patience: u32,
+}
+
+impl Default for SizeTraining {
+    fn default() -> Self {
+        Self {
+            epochs: 30,
+            batch: 32,
+            optimizer: OptimizerKind::AdamW,
+            learning_rate: 0.002,
+            final_learning_rate: 0.01,
+            schedule: Schedule::Cosine,
+            warmup_epochs: 1.0,
+            weight_decay: 0.02,
+            clip_norm: 10.0,
+            box_jitter: 0.02,
+            photometric: 0.2,
+            occlusion: 0.25,
+            flip: 0.5,
+            ema_decay: 0.99,
+            ema_ramp: 100.0,
+            validate_every: 3,
+            patience: 0,
+        }
+    }
+}
+
 fn default_warmup_momentum() -> f64 {
     0.8
 }
@@ -258,7 +326,7 @@ impl TrainConfig {
     /// # Errors
     /// Names the first value that cannot be used.
     pub fn validate(&self) -> Result<()> {
-        let (detector, distance) = (&self.detector, &self.distance);
+        let (detector, distance, size) = (&self.detector, &self.distance, &self.size);
         let share = 0.0..=1.0;
         let checks = [
             ("cache_mib", self.cache_mib as f64, 0.0..=1e6),
@@ -330,7 +398,29 @@ impl TrainConfig {
             ),
             ("distance.box_jitter", distance.box_jitter, 0.0..=0.5),
             ("distance.photometric", distance.photometric, 0.0..=0.9),
-            ("distance.flip", distance.flip, share),
+            ("distance.flip", distance.flip, share.clone()),
+            ("size.epochs", f64::from(size.epochs), 0.0..=1e6),
+            ("size.batch", size.batch as f64, 2.0..=4096.0),
+            ("size.learning_rate", size.learning_rate, 1e-9..=1.0),
+            (
+                "size.final_learning_rate",
+                size.final_learning_rate,
+                share.clone(),
+            ),
+            ("size.warmup_epochs", size.warmup_epochs, 0.0..=1e6),
+            ("size.weight_decay", size.weight_decay, share.clone()),
+            ("size.clip_norm", size.clip_norm, 1e-6..=1e9),
+            ("size.box_jitter", size.box_jitter, 0.0..=0.2),
+            ("size.photometric", size.photometric, 0.0..=0.9),
+            ("size.occlusion", size.occlusion, share.clone()),
+            ("size.flip", size.flip, share.clone()),
+            ("size.ema_decay", size.ema_decay, share),
+            ("size.ema_ramp", size.ema_ramp, 1.0..=1e9),
+            (
+                "size.validate_every",
+                f64::from(size.validate_every),
+                1.0..=1e6,
+            ),
             (
                 "distance.validate_every",
                 f64::from(distance.validate_every),
@@ -411,7 +501,7 @@ mod tests {
         assert_eq!(config, TrainConfig::preset("quick").unwrap());
         // An empty list is not written at all.
         let all = toml::Table::try_from(&config).unwrap();
-        for section in ["detector", "distance"] {
+        for section in ["detector", "distance", "size"] {
             let names = |table: &toml::Table| -> Vec<String> {
                 let section = table[section].as_table().unwrap();
                 let mut names: Vec<String> = section.keys().cloned().collect();

@@ -14,7 +14,7 @@ use crate::files;
 /// One epoch of one stage; what a stage does not have is empty.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct EpochRow {
-    /// "detector" or "distance".
+    /// "detector", "distance" or "size".
     pub stage: String,
     /// Finished epochs, from 1.
     pub epoch: u32,
@@ -34,6 +34,15 @@ pub struct EpochRow {
     pub gradient_norm: Option<f64>,
     /// Images or composites trained on per second.
     pub images_per_second: f64,
+    /// Log-size term of the size network's loss.
+    #[serde(default)]
+    pub log_size_loss: Option<f64>,
+    /// Extent term.
+    #[serde(default)]
+    pub extent_loss: Option<f64>,
+    /// Pose term.
+    #[serde(default)]
+    pub pose_loss: Option<f64>,
     /// Validation precision.
     pub precision: Option<f64>,
     /// Validation recall.
@@ -48,6 +57,27 @@ pub struct EpochRow {
     pub rmse_m: Option<f64>,
     /// Validation mean relative error, percent.
     pub mre_percent: Option<f64>,
+    /// Validation root mean squared error of the log-size.
+    #[serde(default)]
+    pub log_size_rms: Option<f64>,
+    /// Share of its 68 % intervals that hold the truth.
+    #[serde(default)]
+    pub log_size_within_68: Option<f64>,
+    /// Share of its 95 % intervals that hold the truth.
+    #[serde(default)]
+    pub log_size_within_95: Option<f64>,
+    /// Validation root mean squared error of the extent along the line of sight, metres.
+    #[serde(default)]
+    pub extent_rms_m: Option<f64>,
+    /// Share of its 68 % intervals that hold the truth.
+    #[serde(default)]
+    pub extent_within_68: Option<f64>,
+    /// Share of its 95 % intervals that hold the truth.
+    #[serde(default)]
+    pub extent_within_95: Option<f64>,
+    /// Validation negative log-likelihood of both.
+    #[serde(default)]
+    pub size_nll: Option<f64>,
 }
 
 impl EpochRow {
@@ -60,6 +90,9 @@ impl EpochRow {
             "loss/box" => &mut self.box_loss,
             "loss/class" => &mut self.class_loss,
             "loss/distribution" => &mut self.distribution_loss,
+            "loss/log_size" => &mut self.log_size_loss,
+            "loss/extent" => &mut self.extent_loss,
+            "loss/pose" => &mut self.pose_loss,
             "train/gradient_norm" => &mut self.gradient_norm,
             "validation/precision" => &mut self.precision,
             "validation/recall" => &mut self.recall,
@@ -68,6 +101,13 @@ impl EpochRow {
             "validation/mae_m" => &mut self.mae_m,
             "validation/rmse_m" => &mut self.rmse_m,
             "validation/mre_percent" => &mut self.mre_percent,
+            "validation/log_size_rms" => &mut self.log_size_rms,
+            "validation/log_size_within_68" => &mut self.log_size_within_68,
+            "validation/log_size_within_95" => &mut self.log_size_within_95,
+            "validation/extent_rms_m" => &mut self.extent_rms_m,
+            "validation/extent_within_68" => &mut self.extent_within_68,
+            "validation/extent_within_95" => &mut self.extent_within_95,
+            "validation/size_nll" => &mut self.size_nll,
             _ => return,
         };
         *optional = Some(value);
@@ -80,6 +120,9 @@ impl EpochRow {
             ("loss/box", self.box_loss),
             ("loss/class", self.class_loss),
             ("loss/distribution", self.distribution_loss),
+            ("loss/log_size", self.log_size_loss),
+            ("loss/extent", self.extent_loss),
+            ("loss/pose", self.pose_loss),
             ("train/learning_rate", Some(self.learning_rate)),
             ("train/gradient_norm", self.gradient_norm),
             ("train/images_per_second", Some(self.images_per_second)),
@@ -90,6 +133,13 @@ impl EpochRow {
             ("validation/mae_m", self.mae_m),
             ("validation/rmse_m", self.rmse_m),
             ("validation/mre_percent", self.mre_percent),
+            ("validation/log_size_rms", self.log_size_rms),
+            ("validation/log_size_within_68", self.log_size_within_68),
+            ("validation/log_size_within_95", self.log_size_within_95),
+            ("validation/extent_rms_m", self.extent_rms_m),
+            ("validation/extent_within_68", self.extent_within_68),
+            ("validation/extent_within_95", self.extent_within_95),
+            ("validation/size_nll", self.size_nll),
         ];
         always
             .into_iter()

@@ -21,13 +21,14 @@ mod running;
 mod saved;
 mod schedule;
 mod sgd;
+mod size;
 mod stage;
 mod trainee;
 
 pub use checkpoint::{StageFolder, StageState};
 pub use config::{
     DetectorMerit, DetectorTraining, DistanceMerit, DistanceTraining, OptimizerKind, Schedule,
-    TrainConfig, TrainingBoxes,
+    SizeTraining, TrainConfig, TrainingBoxes,
 };
 pub(crate) use devices::DeviceSet;
 pub use log::{EpochRow, RunLog};

@@ -19,6 +19,7 @@ use super::distance::DistanceRecipe;
 use super::loader::{Pass, PassLoader, steps_per_epoch};
 use super::run::{Stage, TrainRequest, open_dataset};
 use super::schedule::schedule;
+use super::size::SizeRecipe;
 use super::stage::{PreparedStage, Recipe, Steering, device_of};
 use super::trainee::{Failure, Trainee, TraineeOf};
 use crate::error::{Error, Result};
@@ -34,7 +35,7 @@ const STEPS: usize = 2;
 /// What training one network would take.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StagePlan {
-    /// "detector" or "distance".
+    /// "detector", "distance" or "size".
     pub stage: String,
     /// Trained and frozen numbers of the network.
     pub parameters: usize,
@@ -93,6 +94,10 @@ pub fn plan(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainPlan
     if request.stage != Stage::Detector {
         let stage =
             DistanceRecipe::prepared(request.config, &dataset, None, false, device, progress)?;
+        stages.push(measure(stage, &devices)?);
+    }
+    if request.trains(SizeRecipe::STAGE) {
+        let stage = SizeRecipe::prepared(request.config, &dataset, device, progress)?;
         stages.push(measure(stage, &devices)?);
     }
     Ok(TrainPlan { stages })

@@ -14,6 +14,7 @@ use super::devices::DeviceSet;
 use super::distance::DistanceRecipe;
 use super::log::RunLog;
 use super::saved::{refuse_changed_data, refuse_other_settings, write_config};
+use super::size::SizeRecipe;
 use super::stage::{PreparedStage, Recipe, StagePlace, StageResult, run_stage};
 use crate::dataset::{Frame, Split, StereoDataset};
 use crate::device::DeviceName;
@@ -24,7 +25,13 @@ use crate::pipeline::StereoRanger;
 use crate::progress::Progress;
 
 /// The networks of a run.
-pub(super) const STAGES: [&str; 2] = [DetectorRecipe::STAGE, DistanceRecipe::STAGE];
+pub(super) const STAGES: [&str; 3] = [
+    DetectorRecipe::STAGE,
+    DistanceRecipe::STAGE,
+    SizeRecipe::STAGE,
+];
+/// Those without which a run cannot tell distances.
+const NEEDED: [&str; 2] = [DetectorRecipe::STAGE, DistanceRecipe::STAGE];
 /// File that a process holds locked while it trains.
 const LOCK: &str = "train.lock";
 
@@ -36,7 +43,7 @@ pub enum Stage {
     All,
     /// The detector alone.
     Detector,
-    /// The distance network alone.
+    /// The distance network, and the size network that belongs to it.
     Distance,
 }
 
@@ -68,6 +75,8 @@ pub struct TrainSummary {
     pub detector_seconds: Option<f64>,
     /// Seconds of distance training in this call.
     pub distance_seconds: Option<f64>,
+    /// Seconds of the size network's training in this call.
+    pub size_seconds: Option<f64>,
     /// The finished run on the validation split.
     pub evaluation: Option<Evaluation>,
     /// Why there is no evaluation, where there is none.
@@ -107,6 +116,7 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
         data: request.data.to_path_buf(),
         detector_seconds: None,
         distance_seconds: None,
+        size_seconds: None,
         evaluation: None,
         not_evaluated: None,
     };
@@ -141,7 +151,13 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress) -> Result<TrainSum
         )?;
         summary.distance_seconds = Some(run_announced(stage, &fingerprint, &place())?.seconds);
     }
-    let complete = STAGES
+    if request.trains(SizeRecipe::STAGE) {
+        let stage = SizeRecipe::prepared(request.config, &dataset, device, progress)?;
+        let recipe = Arc::clone(&stage.recipe);
+        summary.size_seconds = Some(run_announced(stage, &fingerprint, &place())?.seconds);
+        recipe.finish(request.run, &dataset, progress)?;
+    }
+    let complete = NEEDED
         .iter()
         .all(|stage| request.folder(stage).best().exists());
     if !complete {
@@ -209,6 +225,7 @@ fn refuse_uneven(request: &TrainRequest, devices: usize) -> Result<()> {
             config.distance.batch,
             config.distance.micro_batch,
         ),
+        ("size", config.size.batch, config.size.batch),
     ];
     for (stage, batch, micro_batch) in stages {
         if !request.trains(stage) {
@@ -288,10 +305,13 @@ fn run_announced<R: Recipe>(
 impl TrainRequest<'_> {
     /// Whether a network of this name is trained.
     pub(super) fn trains(&self, stage: &str) -> bool {
+        if stage == SizeRecipe::STAGE && self.config.size.epochs == 0 {
+            return false;
+        }
         match self.stage {
             Stage::All => true,
             Stage::Detector => stage == DetectorRecipe::STAGE,
-            Stage::Distance => stage == DistanceRecipe::STAGE,
+            Stage::Distance => stage != DetectorRecipe::STAGE,
         }
     }
 
@@ -315,6 +335,7 @@ impl fmt::Display for TrainSummary {
         for (stage, seconds) in [
             ("detector", self.detector_seconds),
             ("distance", self.distance_seconds),
+            ("size", self.size_seconds),
         ] {
             if let Some(seconds) = seconds {
                 writeln!(f, "{stage:<10} trained in {:.1} minutes", seconds / 60.0)?;

@@ -10,6 +10,7 @@ use super::config::TrainConfig;
 use super::detector::DetectorRecipe;
 use super::distance::DistanceRecipe;
 use super::run::{STAGES, TrainRequest};
+use super::size::SizeRecipe;
 use super::stage::Recipe as _;
 use crate::dataset::StereoDataset;
 use crate::device::DeviceName;
@@ -188,6 +189,9 @@ pub(super) fn write_config(
         }
         if keeps(DistanceRecipe::STAGE) {
             config.distance = saved.distance;
+        }
+        if keeps(SizeRecipe::STAGE) {
+            config.size = saved.size;
         }
     }
     let config = serde_json::json!({

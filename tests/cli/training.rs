@@ -22,6 +22,9 @@ mosaic = 0.5
 close_mosaic = 1
 multi_scale = 0.4
 validate_every = 2
+[size]
+epochs = 3
+batch = 8
 [distance]
 composite = \"324x162\"
 epochs = 3
@@ -43,6 +46,7 @@ fn learnt(run: &Path) -> Vec<(String, Vec<u8>)> {
     let mut files: Vec<(String, Vec<u8>)> = ["detector", "distance"]
         .iter()
         .flat_map(|stage| ["best", "last"].map(|which| format!("{stage}/{which}.safetensors")))
+        .chain(["best", "last", "witness"].map(|which| format!("size/{which}.safetensors")))
         .map(|name| {
             let bytes = fs::read(run.join(&name)).unwrap();
             (name, bytes)
@@ -80,9 +84,9 @@ fn start(place: &Workplace, line: &str) -> Child {
         .unwrap()
 }
 
-/// Epochs of the detector and the distance network that a run has saved.
-fn saved_epochs(run: &Path) -> [u32; 2] {
-    ["detector", "distance"].map(|stage| {
+/// Epochs of the detector, the distance network and the size network that a run has saved.
+fn saved_epochs(run: &Path) -> [u32; 3] {
+    ["detector", "distance", "size"].map(|stage| {
         let Ok(entries) = fs::read_dir(run.join(stage).join("resume")) else {
             return 0;
         };
@@ -97,8 +101,8 @@ fn saved_epochs(run: &Path) -> [u32; 2] {
 }
 
 /// Fails where a resumed run goes on from other epochs than those that were saved.
-fn assert_goes_on(saved: [u32; 2], stderr: &str, is_over: bool) {
-    for (stage, epoch) in ["detector", "distance"].iter().zip(saved) {
+fn assert_goes_on(saved: [u32; 3], stderr: &str, is_over: bool) {
+    for (stage, epoch) in ["detector", "distance", "size"].iter().zip(saved) {
         let begin = format!("{stage}: resuming after epoch ");
         let said = stderr
             .lines()
@@ -150,7 +154,7 @@ fn a_run_that_is_killed_again_and_again_learns_what_an_uninterrupted_one_does() 
         child.kill().unwrap();
         let outcome = Outcome::of(child.wait_with_output().unwrap());
         assert_goes_on(saved, &outcome.stderr, false);
-        let [detector, _] = saved_epochs(&place.path(&run));
+        let [detector, ..] = saved_epochs(&place.path(&run));
         kills_of_stage[usize::from(detector == 6)] += 1;
         kills += 1;
         begins = false;
@@ -193,7 +197,7 @@ fn ctrl_c_ends_a_run_with_what_is_saved_and_how_to_go_on() {
     assert!(interrupt.unwrap().success());
     let outcome = Outcome::of(child.wait_with_output().unwrap());
     assert_eq!(outcome.code, Some(130), "{}", outcome.stderr);
-    let [epoch, _] = saved_epochs(&place.path("r"));
+    let [epoch, ..] = saved_epochs(&place.path("r"));
     for words in [&format!("saved up to epoch {epoch}"), "--resume"] {
         assert!(outcome.stderr.contains(words), "{}", outcome.stderr);
     }

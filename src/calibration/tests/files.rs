@@ -370,3 +370,34 @@ fn a_baseline_given_beside_a_file_in_millimetres_makes_it_metres() {
     let off = calibration.translation_m() - read(OPENCV).translation_m();
     assert!(off.length() < 1e-12);
 }
+
+#[test]
+fn a_disparity_correction_belongs_to_the_rectified_images_of_any_size() {
+    let rig = "width = 1280
+height = 720
+hfov_deg = 90
+baseline_m = 0.5
+";
+    let table = "[disparity_correction]
+focal_px = 640
+constant_px = -0.4
+constant_std_px = 0.2
+xx_px = 1.6
+";
+    let calibration = read(&format!("{rig}{table}"));
+    let corrected = |size: [u32; 2]| {
+        let rig = CalibratedRig::new(&calibration, size, RigOptions::default()).unwrap();
+        *rig.disparity_correction().unwrap()
+    };
+    let whole = corrected([1280, 720]);
+    assert!(close(whole.delta_px([640.0, 360.0]), -0.4) && close(whole.std_px(), 0.2));
+    assert!(close(whole.delta_px([1280.0, 100.0]), 1.2));
+    assert!(close(corrected([640, 360]).delta_px([640.0, 50.0]), 0.6));
+    let none = CalibratedRig::new(&read(rig), [1280, 720], RigOptions::default()).unwrap();
+    assert_eq!(none.disparity_correction(), None);
+
+    let refused = refusal(&format!("{rig}{table}xx_pixels = 3"));
+    assert!(refused.contains("xx_pixels"), "{refused}");
+    let refused = refusal(&format!("{rig}{table}y_px = 900.0"));
+    assert!(refused.contains("y_px = 900"), "{refused}");
+}

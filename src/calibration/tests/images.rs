@@ -72,6 +72,7 @@ fn calibration() -> StereoCalibration {
         rotation,
         translation_m: rotation * DVec3::new(-0.4, 0.008, 0.015),
         given: None,
+        disparity_correction: None,
     };
     StereoCalibration::new(parts, None).unwrap()
 }

@@ -23,6 +23,7 @@ fn parts() -> CalibrationParts {
         rotation: DMat3::IDENTITY,
         translation_m: DVec3::new(-0.2, 0.001, 0.002),
         given: None,
+        disparity_correction: None,
     }
 }
 

@@ -44,6 +44,7 @@ fn parts(coefficients: [&[f64]; 2]) -> CalibrationParts {
         rotation,
         translation_m: rotation * DVec3::new(-0.5, 0.012, -0.02),
         given: None,
+        disparity_correction: None,
     }
 }
 
