@@ -87,11 +87,11 @@ fn a_detector_is_trained_and_its_data_refused_where_distances_are_to_be_learnt()
 fn what_an_import_leaves_out_is_counted_and_named_and_metres_are_taken_where_they_are_meant() {
     let place = Workplace::new();
     place.write("set/data.yaml", "train: images\nnames: [car]\n");
+    place.write("set/images/c.heic", "ftypheic");
     for (name, line) in [("a", "0 0.5 0.5 0.2 0.2 12.5"), ("b", "0 0.5 0.5 0 0.2")] {
         place.write_image(&format!("set/images/{name}.png"), 64, 48);
         place.write(&format!("set/labels/{name}.txt"), line);
     }
-    place.write("set/images/c.heic", "ftypheic");
     place.write_image("set/images/d.png", 64, 48);
     let outcome = place.line("import auto set --out plain");
     for words in [
