@@ -1,7 +1,6 @@
 //! The whole way from a stereo pair to metres: the library's front door.
 
 mod filter;
-mod note;
 mod run;
 mod sides;
 mod vehicle;
@@ -15,15 +14,18 @@ use image::RgbImage;
 use crate::detector::nms::NmsConfig;
 use crate::detector::{Detection, VehicleDetector};
 use crate::error::{Error, Result};
-use crate::geometry::StereoRig;
+use crate::geometry::{DisparityCorrection, PixelBox, StereoRig};
 use crate::pairing::{PairingConfig, PairingMode};
-use crate::ranging::{DistanceEstimator, RigNote, Sighting};
+use crate::ranging::size::SizeEstimator;
+use crate::ranging::{
+    DistanceEstimator, FusedRanger, NamedBox, PairDoubt, RangerKind, RigNote, Sighting, TrustedRig,
+};
 
 use sides::Sides;
 use vehicle::class_name;
 
 pub use filter::VehicleFilter;
-pub use note::PairNote;
+pub(crate) use run::size_weights;
 pub(crate) use vehicle::Pair;
 pub use vehicle::{DetectedIn, Findings, SingleSided, StageTimes, Unmatched, Vehicle};
 
@@ -40,6 +42,8 @@ pub struct PredictOptions {
     pub pairing: PairingConfig,
     /// What becomes of a vehicle that the detector sees in one image only.
     pub single_sided: SingleSided,
+    /// Which answer the distance is.
+    pub ranger: RangerKind,
 }
 
 /// Usual least score of a detection: one image has to convince alone when the other one's box is
@@ -55,6 +59,7 @@ impl Default for PredictOptions {
             pairing_mode: PairingMode::default(),
             pairing: PairingConfig::default(),
             single_sided: SingleSided::default(),
+            ranger: RangerKind::default(),
         }
     }
 }
@@ -85,7 +90,10 @@ pub struct StereoRanger {
     /// Numbers of the filter's classes; None for all.
     classes: Option<Vec<usize>>,
     /// The rig of the images, where it is not the trained one.
-    given_rig: Option<StereoRig>,
+    given_rig: Option<TrustedRig>,
+    /// Where it is not the rig's own.
+    disparity_std_px: Option<f64>,
+    fused: FusedRanger,
 }
 
 /// A service may share one ranger among its threads.
@@ -103,10 +111,14 @@ impl StereoRanger {
     /// No such folder, one without both networks, or weights that cannot be used.
     pub fn load(run: impl AsRef<Path>, device: &Device) -> Result<Self> {
         let [detector, distance] = run::weights(run.as_ref())?;
-        Self::new(
+        let sizes = run::size_weights(run.as_ref())
+            .map(|path| SizeEstimator::load(&path, device))
+            .transpose()?;
+        let ranger = Self::new(
             VehicleDetector::load(&detector, device)?,
             DistanceEstimator::load(&distance, device)?,
-        )
+        )?;
+        Ok(ranger.with_sizes(sizes))
     }
 
     /// Joins two networks that were trained for the same rig.
@@ -123,12 +135,14 @@ impl StereoRanger {
             ));
         }
         Ok(Self {
+            fused: FusedRanger::new(a.box_kind),
             detector,
             estimator,
             options: PredictOptions::default(),
             filter: VehicleFilter::default(),
             classes: None,
             given_rig: None,
+            disparity_std_px: None,
         })
     }
 
@@ -136,8 +150,28 @@ impl StereoRanger {
     /// [`CalibratedRig`](crate::calibration::CalibratedRig). Images must then be of its size, or the
     /// same resized.
     #[must_use]
-    pub fn with_rig(mut self, rig: StereoRig) -> Self {
+    pub fn with_rig(self, rig: StereoRig) -> Self {
+        self.with_trusted_rig(TrustedRig::unchecked(rig))
+    }
+
+    /// [`StereoRanger::with_rig`], also saying how far its disparities can be trusted.
+    #[must_use]
+    pub const fn with_trusted_rig(mut self, rig: TrustedRig) -> Self {
         self.given_rig = Some(rig);
+        self
+    }
+
+    /// The same with another standard deviation of what all disparities of a frame are off by, pixels.
+    #[must_use]
+    pub const fn with_disparity_std(mut self, std_px: f64) -> Self {
+        self.disparity_std_px = Some(std_px);
+        self
+    }
+
+    /// The same with a trained size network as one more witness of the distance.
+    #[must_use]
+    pub fn with_sizes(mut self, sizes: Option<SizeEstimator>) -> Self {
+        self.fused = self.fused.with_sizes(sizes);
         self
     }
 
@@ -171,6 +205,11 @@ impl StereoRanger {
     /// The detector alone.
     pub fn detector(&self) -> &VehicleDetector {
         &self.detector
+    }
+
+    /// The default way to a distance alone.
+    pub fn fused(&self) -> &FusedRanger {
+        &self.fused
     }
 
     /// The distance network alone.
@@ -271,27 +310,21 @@ impl StereoRanger {
                 "give its corners in pixels of the left image",
             ));
         }
-        let rig = self.rig_for((width, height))?;
-        let sorted: Vec<(Sides, Option<PairNote>)> = pairs
-            .iter()
-            .map(|images| {
-                let mut found: Vec<Vec<Detection>> = found.by_ref().take(sides).collect();
-                if let Some(classes) = &self.classes {
-                    for side in &mut found {
-                        side.retain(|detection| classes.contains(&detection.class));
-                    }
+        let trusted = self.trusted_rig_for((width, height))?;
+        let rig = &trusted.rig;
+        let mut sorted: Vec<(Sides, Option<PairDoubt>)> = Vec::with_capacity(pairs.len());
+        for images in pairs {
+            let mut found: Vec<Vec<Detection>> = found.by_ref().take(sides).collect();
+            if let Some(classes) = &self.classes {
+                for side in &mut found {
+                    side.retain(|detection| classes.contains(&detection.class));
                 }
-                let detected = found.first().cloned().unwrap_or_default();
-                let sorted = Sides::new(*images, found, &rig, &self.options);
-                let config = &self.options.pairing;
-                let note = PairNote::of_pairs(*images, &detected, &sorted.pairs, &rig, config);
-                let wanted = Sides {
-                    pairs: self.filter.pairs(sorted.pairs),
-                    alone: sorted.alone,
-                };
-                (wanted, note)
-            })
-            .collect();
+            }
+            sorted.push(self.sides(*images, found, &trusted)?);
+        }
+        for (sides, _) in &mut sorted {
+            sides.pairs = self.filter.pairs(std::mem::take(&mut sides.pairs));
+        }
         times.pair += started.elapsed();
 
         let started = Instant::now();
@@ -305,7 +338,7 @@ impl StereoRanger {
                 })
             })
             .collect();
-        let mut distances_m = self.estimator.estimate(&sightings, &rig)?.into_iter();
+        let mut distances_m = self.estimator.estimate(&sightings, rig)?.into_iter();
         let findings = sorted
             .into_iter()
             .map(|(sides, note)| Findings {
@@ -317,6 +350,56 @@ impl StereoRanger {
         Ok(findings)
     }
 
+    /// The detections of a pair sorted out, and what is strange about its images. With the posterior
+    /// as ranger, vehicles that the detector saw in the left image alone need no partner in the right
+    /// one: where they are there follows from their distance.
+    fn sides(
+        &self,
+        images: [&RgbImage; 2],
+        found: Vec<Vec<Detection>>,
+        rig: &TrustedRig,
+    ) -> Result<(Sides, Option<PairDoubt>)> {
+        let is_fused = self.options.ranger == RangerKind::Fused;
+        if !is_fused {
+            let sides = Sides::new(images, found, &rig.rig, &self.options);
+            return Ok((sides, PairDoubt::of_images(images)));
+        }
+        let sides = match self.options.pairing_mode {
+            PairingMode::Search => Sides::of_left(found.into_iter().next().unwrap_or_default()),
+            PairingMode::Detect => Sides::new(images, found, &rig.rig, &self.options),
+        };
+        self.ranged(images, sides, rig)
+    }
+
+    /// The same pairs with what is known of their distances.
+    fn ranged(
+        &self,
+        images: [&RgbImage; 2],
+        sides: Sides,
+        rig: &TrustedRig,
+    ) -> Result<(Sides, Option<PairDoubt>)> {
+        let classes = &self.detector.header().classes;
+        let boxes: Vec<NamedBox> = sides
+            .pairs
+            .iter()
+            .map(|pair| NamedBox {
+                box_pixel: pair.left.box_pixel,
+                class: classes.get(pair.left.class).map(String::as_str),
+            })
+            .collect();
+        let (ranged, doubt) = self.fused.range(images, &boxes, rig)?;
+        let pairs = sides.pairs.into_iter().zip(ranged);
+        let pairs = pairs.map(|(pair, ranged)| pair.at_posterior(ranged, &rig.rig));
+        let pairs = pairs.collect();
+        Ok((
+            Sides {
+                pairs,
+                alone: sides.alone,
+            },
+            doubt,
+        ))
+    }
+
     /// What is reported of one pair, given the distances of its vehicles.
     fn findings(&self, sides: Sides, distances_m: &mut impl Iterator<Item = f64>) -> Findings {
         let classes = &self.detector.header().classes;
@@ -324,7 +407,7 @@ impl StereoRanger {
             .pairs
             .iter()
             .zip(distances_m)
-            .map(|(pair, distance_m)| pair.at(distance_m, classes))
+            .map(|(pair, network_m)| pair.vehicle(self.options.ranger, Some(network_m), classes))
             .collect();
         vehicles.sort_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
         let mut unmatched = Vec::new();
@@ -349,14 +432,23 @@ impl StereoRanger {
         }
     }
 
-    /// The boxes in both images, given what the detector found in the images that it ran on.
+    /// The boxes in both images with what is known of their distances, given what the detector found
+    /// in the images that it ran on.
     pub(crate) fn pairs(
         &self,
         images: [&RgbImage; 2],
         found: Vec<Vec<Detection>>,
-        rig: &StereoRig,
-    ) -> Vec<Pair> {
-        Sides::new(images, found, rig, &self.options).pairs
+        rig: &TrustedRig,
+    ) -> Result<Vec<Pair>> {
+        let (sides, _) = self.sides(images, found, rig)?;
+        if self.options.ranger == RangerKind::Fused {
+            return Ok(sides.pairs);
+        }
+        // Its boxes stay those of the search.
+        let boxes: Vec<PixelBox> = sides.pairs.iter().map(|pair| pair.right).collect();
+        let (ranged, _) = self.ranged(images, sides, rig)?;
+        let pairs = ranged.pairs.into_iter().zip(boxes);
+        Ok(pairs.map(|(pair, right)| Pair { right, ..pair }).collect())
     }
 
     /// In what images of this size differ from those that the networks were trained on, and what is
@@ -365,7 +457,7 @@ impl StereoRanger {
         let images = [width, height];
         match &self.given_rig {
             None => RigNote::of_size(self.rig(), images).into_iter().collect(),
-            Some(rig) => {
+            Some(TrustedRig { rig, .. }) => {
                 let calibrated = [rig.left.width, rig.left.height];
                 let resized =
                     (calibrated != images).then_some(RigNote::Resized { calibrated, images });
@@ -378,21 +470,38 @@ impl StereoRanger {
     }
 
     /// The rig of images of this size: the given one, or the trained one at another resolution of
-    /// the same field of view.
-    pub(crate) fn rig_for(&self, (width, height): (u32, u32)) -> Result<StereoRig> {
+    /// the same field of view. That the cameras are the trained ones nobody has checked.
+    pub(crate) fn trusted_rig_for(&self, (width, height): (u32, u32)) -> Result<TrustedRig> {
         let size = [width, height];
-        match self.given_rig {
-            Some(rig) => rig.resized(size).ok_or_else(|| {
-                Error::value(
-                    format!("images of {width}x{height} pixels"),
-                    format!("the given rig has {}x{}", rig.left.width, rig.left.height),
-                    "give images of the calibrated cameras, or the same resized but not cut",
-                )
-            }),
-            None => Ok(self
-                .rig()
-                .resized(size)
-                .unwrap_or_else(|| self.rig().cropped(size))),
+        let mut trusted = match self.given_rig {
+            Some(trusted) => {
+                let own = trusted.rig.left;
+                let rig = trusted.rig.resized(size).ok_or_else(|| {
+                    Error::value(
+                        format!("images of {width}x{height} pixels"),
+                        format!("the given rig has {}x{}", own.width, own.height),
+                        "give images of the calibrated cameras, or the same resized but not cut",
+                    )
+                })?;
+                let correction = trusted
+                    .correction
+                    .map(|correction| DisparityCorrection::new(*correction.terms(), rig.left))
+                    .transpose()?;
+                TrustedRig {
+                    rig,
+                    correction,
+                    ..trusted
+                }
+            }
+            None => TrustedRig::unchecked(
+                self.rig()
+                    .resized(size)
+                    .unwrap_or_else(|| self.rig().cropped(size)),
+            ),
+        };
+        if let Some(std_px) = self.disparity_std_px {
+            trusted.disparity_std_px = std_px;
         }
+        Ok(trusted)
     }
 }

@@ -14,10 +14,9 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use crate::error::Result;
-use crate::pipeline::{
-    DetectedIn, Findings, PairNote, StageTimes, StereoRanger, Unmatched, Vehicle,
-};
+use crate::pipeline::{DetectedIn, Findings, StageTimes, StereoRanger, Unmatched, Vehicle};
 use crate::progress::Progress;
+use crate::ranging::PairDoubt;
 use crate::sources::StereoFrame;
 
 use notes::Notes;
@@ -226,7 +225,7 @@ fn measured(
     ranger: &StereoRanger,
     frames: Vec<StereoFrame>,
     summary: &mut PredictSummary,
-) -> Vec<(FrameRecord, Option<[RgbImage; 2]>, Option<PairNote>)> {
+) -> Vec<(FrameRecord, Option<[RgbImage; 2]>, Option<PairDoubt>)> {
     let pairs: Vec<[&RgbImage; 2]> = frames
         .iter()
         .filter_map(|frame| frame.images.as_ref().ok())

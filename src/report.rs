@@ -93,7 +93,7 @@ fn evaluation_section(run: &Run, evaluation: &load::Evaluated) -> Result<Section
             of.pairing_mode, of.confidence
         ),
         Networks::Detector => format!(", confidence above {}", of.confidence),
-        Networks::Distance => String::new(),
+        Networks::Distance | Networks::None => String::new(),
     };
     section.notes.push(format!(
         "{} frames of the split {} of {}; boxes of kind {}{settings}. Bounds: 95 % of {} draws, with \

@@ -120,5 +120,5 @@ pub(super) fn judge(
 /// The baselines, in their order.
 pub(super) fn baseline_methods() -> impl Iterator<Item = Method> {
     let all = Method::ALL.into_iter();
-    all.filter(|method| *method != Method::Network)
+    all.filter(|method| ![Method::Fused, Method::Network].contains(method))
 }

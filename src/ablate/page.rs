@@ -117,14 +117,13 @@ fn bars(ablation: &Ablation) -> Figure {
     }
 }
 
-/// Relative errors over the true distance: trained networks and the two baselines that answer best.
+/// Relative errors over the true distance.
 fn by_distance(ablation: &Ablation) -> (Figure, Vec<(Rgb, String)>) {
     let rows = || ablation.rows.iter().filter(|row| row.group != "all");
     let mut names: Vec<&str> = Vec::new();
     let mut groups: Vec<&str> = Vec::new();
     for row in rows().filter(|row| !ablation.reads_label(&row.name)) {
-        let is_shown = row.trained || row.name != "fusion";
-        if is_shown && !names.contains(&row.name.as_str()) {
+        if !names.contains(&row.name.as_str()) {
             names.push(&row.name);
         }
         if !groups.contains(&row.group.as_str()) {

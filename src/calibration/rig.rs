@@ -5,7 +5,7 @@ use image::RgbImage;
 use crate::error::{Error, Result};
 use crate::geometry::{DisparityCorrection, Rectification, StereoCalibration, StereoRig};
 use crate::imaging::PixelMap;
-use crate::ranging::RigNote;
+use crate::ranging::{RigNote, TrustedRig};
 
 /// Whether images are as the cameras took them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -99,6 +99,15 @@ impl CalibratedRig {
     /// The rig of the rectified images.
     pub fn rig(&self) -> &StereoRig {
         &self.rig
+    }
+
+    /// The rig of the rectified images with how far its disparities can be trusted: as well as the
+    /// calibration says, or as those that nobody checked.
+    pub fn trusted_rig(&self) -> TrustedRig {
+        match self.disparity_correction {
+            Some(correction) => TrustedRig::corrected(self.rig, correction),
+            None => TrustedRig::unchecked(self.rig),
+        }
     }
 
     /// What measured disparities of the rectified images are too large by, where the calibration says

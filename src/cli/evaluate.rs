@@ -1,13 +1,15 @@
 //! `twinsight evaluate`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use twinsight::dataset::Split;
+use twinsight::calibration::{CalibratedRig, ImageState, LoadOptions, RigOptions, load};
+use twinsight::dataset::{BoxKind, Split, StereoDataset};
 use twinsight::device::DeviceName;
 use twinsight::evaluate::{EvaluateRequest, evaluate, protocol_text};
 use twinsight::pairing::PairingMode;
 use twinsight::pipeline::{PredictOptions, SingleSided};
+use twinsight::ranging::{RangerKind, TrustedRig};
 use twinsight::{Error, Result};
 
 use super::{files, stdout, terminal, values};
@@ -17,9 +19,9 @@ use super::{files, stdout, terminal, values};
 /// Prints the detector's precision, recall and mean average precision, and the distance errors MAE,
 /// RMSE and MRE: for the labels' boxes, which judges the distance network alone, and for the whole
 /// pipeline, with the vehicles that it missed and the ones that it made up; over all vehicles, and
-/// by distance, sun, view and size of the box. Beside the network stand four ways to a distance
-/// that need none: box size, triangulated box centres, sub-pixel matching, and size and matching
-/// together, their constants fitted on the training split.
+/// by distance, sun, view and size of the box. How often the intervals hold the distance is counted.
+/// Beside both rangers stand three baselines, their constants fitted on the training split: box size,
+/// triangulated box centres and sub-pixel matching.
 ///
 /// A run with one network has that one judged: a detector by what it finds, in single images too, a
 /// distance network by labelled boxes. The dataset must have the kind of box that the run learnt.
@@ -31,9 +33,10 @@ use super::{files, stdout, terminal, values};
 #[derive(Debug, Args)]
 #[command(after_long_help = EXAMPLES)]
 pub struct EvaluateArgs {
-    /// Folder of a finished training run
+    /// Folder of a finished training run; without one the posterior, which needs no training, is judged
+    /// on the labels' boxes
     #[arg(long, value_name = "DIR")]
-    run: PathBuf,
+    run: Option<PathBuf>,
     /// Folder of the dataset
     #[arg(long, value_name = "DIR")]
     data: PathBuf,
@@ -50,6 +53,17 @@ pub struct EvaluateArgs {
     /// The pipeline's detections must score above this, 0 to 1
     #[arg(long, value_parser = values::share::<f32>, default_value_t = PredictOptions::default().confidence)]
     confidence: f32,
+    /// Which distance is judged: `fused` weighs size, disparity and, where it was trained for such
+    /// views, the size network; `paper` is the twin-branch network
+    #[arg(long, value_name = "WHICH", value_parser = values::ranger(), default_value_t = PredictOptions::default().ranger)]
+    ranger: RangerKind,
+    /// Which of the labels' boxes are judged without a run [default: tight where there are]
+    #[arg(long, value_name = "KIND", value_parser = values::box_kind(), conflicts_with = "run")]
+    boxes: Option<BoxKind>,
+    /// Cameras as a calibration file has them, in place of the dataset's rig: one that `twinsight
+    /// calibrate` wrote corrects what disparities are off by. Images must be rectified
+    #[arg(long, value_name = "FILE")]
+    calib: Option<PathBuf>,
     /// Print a test's own table as well, of the test frames: `paper` is the published one, 108 frames
     /// at 15 to 200 m under four suns from three sides; frames that the dataset lacks are named
     #[arg(long, value_name = "TEST", value_enum, conflicts_with = "split")]
@@ -68,6 +82,10 @@ Examples:
   The tables of the test frames:
 
     twinsight evaluate --run checkpoints/quick --data datasets/quick
+
+  Distances without anything trained, of labelled boxes of one's own cameras:
+
+    twinsight evaluate --data datasets/mine --calib mine.toml
 
   The validation frames, with a file for other programs:
 
@@ -101,11 +119,17 @@ impl EvaluateArgs {
             .is_some_and(|path| path.as_os_str() == "-");
         let json_path = self.json.as_ref().filter(|_| !is_printed);
         if let Some(path) = json_path {
-            let inputs: Vec<_> = files::of_run(&self.run).collect();
+            let inputs: Vec<_> = self.run.iter().flat_map(|run| files::of_run(run)).collect();
             files::check_target(path, files::Kind::JSON, &inputs)?;
         }
         let request = EvaluateRequest {
-            run: &self.run,
+            run: self.run.as_deref(),
+            boxes: self.boxes,
+            rig: self
+                .calib
+                .as_deref()
+                .map(|calib| rig(calib, &self.data))
+                .transpose()?,
             data: &self.data,
             split: self.split,
             device: self.device.clone(),
@@ -114,6 +138,7 @@ impl EvaluateArgs {
                 pairing_mode: self.pairing,
                 // As in the paper: with `detect`, both images must show the vehicle to the detector.
                 single_sided: SingleSided::Drop,
+                ranger: self.ranger,
                 ..PredictOptions::default()
             },
             out: self.out.as_deref(),
@@ -140,4 +165,20 @@ impl EvaluateArgs {
         }
         stdout::print(&format!("{}\n", text.trim_end()))
     }
+}
+
+/// The rig of a calibration file for the images of a dataset, which are rectified.
+fn rig(calib: &Path, data: &Path) -> Result<TrustedRig> {
+    let camera = StereoDataset::open(data)?.rig().left;
+    let size = [camera.width, camera.height];
+    let options = LoadOptions {
+        image_size: Some(size),
+        ..LoadOptions::default()
+    };
+    let calibration = load(&[calib], &options)?;
+    let options = RigOptions {
+        images: ImageState::Rectified,
+        alpha: None,
+    };
+    Ok(CalibratedRig::new(&calibration, size, options)?.trusted_rig())
 }

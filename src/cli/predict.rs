@@ -12,8 +12,9 @@ use twinsight::calibration::CalibratedRig;
 use twinsight::device::DeviceName;
 use twinsight::geometry::{Polygon, StereoCalibration};
 use twinsight::pairing::PairingMode;
-use twinsight::pipeline::{PairNote, PredictOptions, SingleSided, StereoRanger, VehicleFilter};
+use twinsight::pipeline::{PredictOptions, SingleSided, StereoRanger, VehicleFilter};
 use twinsight::predict::{Sink, predict};
+use twinsight::ranging::{PairDoubt, RangerKind};
 use twinsight::sources::{FrameSource, Layout, StereoFrame};
 use twinsight::{Error, Result, files};
 
@@ -90,6 +91,14 @@ pub struct PredictArgs {
     /// a distance then, `drop` leaves it out at once (with --pairing detect)
     #[arg(long, value_name = "HOW", value_parser = values::single_sided(), default_value_t = PredictOptions::default().single_sided)]
     single_sided: SingleSided,
+    /// Which answer `distance_m` is: `fused` weighs size, disparity and, where it was trained for
+    /// such views, the size network, and says how sure it is; `paper` is the twin-branch network
+    #[arg(long, value_name = "WHICH", value_parser = values::ranger(), default_value_t = PredictOptions::default().ranger)]
+    ranger: RangerKind,
+    /// How far all disparities of a frame may be off, pixels, standard deviation
+    /// [default: what the calibration file says of it, or 0.5]
+    #[arg(long, value_name = "PX", value_parser = values::not_negative)]
+    disparity_std: Option<f64>,
     /// Write JSON Lines there; - is standard output, as without this option
     #[arg(long, value_name = "FILE", help_heading = "Results")]
     jsonl: Option<PathBuf>,
@@ -152,6 +161,7 @@ impl PredictArgs {
             iou: self.iou,
             pairing_mode: self.pairing,
             single_sided: self.single_sided,
+            ranger: self.ranger,
             ..PredictOptions::default()
         };
         let filter = VehicleFilter {
@@ -208,14 +218,17 @@ impl PredictArgs {
             .transpose()?;
         let mut ranger = load()?;
         if let Some(calibrated) = &calibrated {
-            ranger = ranger.with_rig(*calibrated.rig());
+            ranger = ranger.with_trusted_rig(calibrated.trusted_rig());
+        }
+        if let Some(std_px) = self.disparity_std {
+            ranger = ranger.with_disparity_std(std_px);
         }
         if let Some(calibrated) = calibrated.as_ref().filter(|_| !quiet) {
             say(calibrated.note());
             // Of the same images that are still the same the ranger will tell.
-            if let Some(note) = PairNote::of_images([left, right]) {
+            if let Some(note) = PairDoubt::of_images([left, right]) {
                 let [left, right] = calibrated.rectify([left.clone(), right.clone()])?;
-                if PairNote::of_images([&left, &right]).is_none() {
+                if PairDoubt::of_images([&left, &right]).is_none() {
                     say([note]);
                 }
             }

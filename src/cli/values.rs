@@ -7,6 +7,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use twinsight::dataset::{BoxKind, Split, StereoDataset};
 use twinsight::pairing::PairingMode;
 use twinsight::pipeline::SingleSided;
+use twinsight::ranging::RangerKind;
 use twinsight::sources::Layout;
 
 /// An image size, `WIDTHxHEIGHT`.
@@ -40,12 +41,26 @@ pub fn share<T: FromStr + PartialOrd + From<u8>>(text: &str) -> Result<T, String
     }
 }
 
+/// A finite number, 0 or above.
+pub fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
+        _ => Err("is no number of 0 or above".to_owned()),
+    }
+}
+
 /// A finite number above 0.
 pub fn above_zero(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         _ => Err("is no number above 0".to_owned()),
     }
+}
+
+/// `fused` or `paper`.
+pub fn ranger() -> impl TypedValueParser<Value = RangerKind> {
+    PossibleValuesParser::new(RangerKind::ALL.map(RangerKind::word))
+        .try_map(|word| word.parse::<RangerKind>())
 }
 
 /// `sphere` or `tight`.

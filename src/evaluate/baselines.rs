@@ -10,8 +10,6 @@
 //! * **matching**: the disparity that normalised cross-correlation of the left box's pixels finds
 //!   along the epipolar line. It is the visible surface's; the fitted constant is the way from there
 //!   to the vehicle's centre.
-//! * **fusion**: a constant and a share of each of size and matching; size where matching has no
-//!   answer.
 //!
 //! Constants come from the training split alone.
 
@@ -35,15 +33,6 @@ const FITTED_FRAMES: usize = 160;
 /// of nearly nothing would otherwise count as kilometres.
 const FARTHEST: f64 = 2.0;
 
-/// Rounds of reweighting of the fusion's fit; it moves no more after half of them.
-const ROUNDS: usize = 30;
-
-/// Relative errors above this count less and less in the fusion's fit.
-const USUAL_ERROR: f64 = 0.1;
-
-/// The fusion where nothing can be fitted, and where its fit starts from.
-const EVEN_FUSION: [f64; 3] = [0.0, 0.5, 0.5];
-
 /// The baselines' constants, and where they come from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Baselines {
@@ -59,14 +48,9 @@ pub struct Baselines {
     pub size_constant_m: f64,
     /// From the surface that matching sees to the vehicle's centre, metres: the median difference.
     pub surface_to_center_m: f64,
-    /// Of the fusion: constant in metres, share of size, share of matching.
-    pub fusion: [f64; 3],
     /// Answers beyond this are set to it, metres.
     pub farthest_m: f64,
 }
-
-/// A training vehicle: the truth, what its size says, and how far matching sees its surface; metres.
-type Sample = (f64, f64, Option<f64>);
 
 impl Baselines {
     /// Fits the constants on the training split of a dataset; None where it has no stereo vehicles
@@ -104,37 +88,20 @@ impl Baselines {
                 .iter()
                 .map(|(true_m, _)| *true_m)
                 .fold(0.0, f64::max);
-        let samples = measure(dataset, &frames, kind, size_m, progress)?;
-        let matched: Vec<(f64, f64, f64)> = samples
-            .iter()
-            .filter_map(|&(true_m, size_m, surface_m)| Some((true_m, size_m, surface_m?)))
-            .collect();
-        let offset = median(
-            matched
-                .iter()
-                .map(|(true_m, _, surface_m)| true_m - surface_m),
-        );
-        let surface_to_center_m = offset.unwrap_or(0.0);
-        let rows: Vec<([f64; 3], f64)> = matched
-            .iter()
-            .map(|&(true_m, size_m, surface_m)| {
-                let matching_m = (surface_m + surface_to_center_m).min(farthest_m);
-                ([1.0, size_m.min(farthest_m), matching_m], true_m)
-            })
-            .collect();
+        let behind_m = measure(dataset, &frames, kind, progress)?;
+        let surface_to_center_m = median(behind_m.iter().copied()).unwrap_or(0.0);
         Ok(Some(Self {
             fitted_on: dataset.folder.clone(),
             vehicles: of_labels.len(),
-            matched: matched.len(),
+            matched: behind_m.len(),
             size_m,
             size_constant_m: size_m * rig.focal_px() / f64::from(rig.left.width),
             surface_to_center_m,
-            fusion: fit_fusion(&rows).unwrap_or(EVEN_FUSION),
             farthest_m,
         }))
     }
 
-    /// What every baseline says of a vehicle; the first estimate, the network's, is left empty.
+    /// What every baseline says of a vehicle; the estimates of the rangers are left empty.
     pub fn estimates(&self, sighting: &Sighting, rig: &StereoRig) -> Estimates {
         let within = |estimate: f64| estimate.min(self.farthest_m);
         let width_m = width_m(&sighting.boxes, rig);
@@ -142,14 +109,7 @@ impl Baselines {
         let triangulation = centers_m(&sighting.boxes, rig).map(within);
         let matching =
             surface_m(sighting, rig).map(|surface_m| within(surface_m + self.surface_to_center_m));
-        let [constant, of_size, of_matching] = self.fusion;
-        let fusion = match (size, matching) {
-            (Some(size), Some(matching)) => {
-                Some(constant + of_size * size + of_matching * matching)
-            }
-            (size, _) => size,
-        };
-        [None, size, triangulation, matching, fusion]
+        [None, None, size, triangulation, matching]
     }
 }
 
@@ -159,11 +119,14 @@ impl Baselines {
 /// # Errors
 /// [`crate::Error::Interrupted`].
 pub(super) fn fit_for_run(
-    run: &Path,
+    run: Option<&Path>,
     evaluated: &StereoDataset,
     kind: BoxKind,
     progress: &dyn Progress,
 ) -> Result<Option<Baselines>> {
+    let Some(run) = run else {
+        return Baselines::fit(evaluated, kind, progress);
+    };
     let why = match TrainingData::find(run, evaluated) {
         TrainingData::Evaluated => return Baselines::fit(evaluated, kind, progress),
         TrainingData::Other(dataset) => {
@@ -195,14 +158,14 @@ pub(super) fn fit_for_run(
     Ok(fitted)
 }
 
-/// Matches the vehicles of evenly chosen frames.
+/// How far the centres of the vehicles of evenly chosen frames lie behind the surface that matching
+/// sees, metres, where it sees one.
 fn measure(
     dataset: &StereoDataset,
     frames: &[&Frame],
     kind: BoxKind,
-    size_m: f64,
     progress: &dyn Progress,
-) -> Result<Vec<Sample>> {
+) -> Result<Vec<f64>> {
     let rig = dataset.rig();
     let count = frames.len().min(FITTED_FRAMES);
     let chosen: Vec<&Frame> = (0..count)
@@ -216,13 +179,12 @@ fn measure(
         let vehicles = frame.vehicles(kind);
         Ok(vehicles
             .par_iter()
-            .map(|vehicle| {
+            .filter_map(|vehicle| {
                 let sighting = Sighting {
                     images: [&left, &right],
                     boxes: [vehicle.left.box_pixel, vehicle.right.box_pixel],
                 };
-                let by_size_m = size_m / width_m(&sighting.boxes, rig);
-                (vehicle.distance_m, by_size_m, surface_m(&sighting, rig))
+                Some(vehicle.distance_m - surface_m(&sighting, rig)?)
             })
             .collect::<Vec<_>>())
     })?;
@@ -250,85 +212,12 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Coefficients that fit most vehicles: least squares of relative errors, reweighted until the few
-/// that matching takes for something else, whose errors are far above [`USUAL_ERROR`], hardly count
-/// (Cauchy's weights). Squares alone would follow those few.
-fn fit_fusion(rows: &[([f64; 3], f64)]) -> Option<[f64; 3]> {
-    let mut solution = EVEN_FUSION;
-    for _ in 0..ROUNDS {
-        let mut normal = [[0.0; 4]; 3];
-        for (features, truth) in rows {
-            let estimate: f64 = features.iter().zip(&solution).map(|(f, c)| f * c).sum();
-            let error = (estimate - truth) / truth;
-            let weight = truth.powi(-2) / (1.0 + (error / USUAL_ERROR).powi(2));
-            for i in 0..3 {
-                for j in 0..3 {
-                    normal[i][j] += weight * features[i] * features[j];
-                }
-                normal[i][3] += weight * features[i] * truth;
-            }
-        }
-        solution = solve(normal)?;
-    }
-    Some(solution)
-}
-
-/// Solves three linear equations by elimination; None where they do not determine the unknowns.
-fn solve(mut rows: [[f64; 4]; 3]) -> Option<[f64; 3]> {
-    for column in 0..3 {
-        let pivot =
-            (column..3).max_by(|&a, &b| rows[a][column].abs().total_cmp(&rows[b][column].abs()))?;
-        rows.swap(column, pivot);
-        let lead = rows[column];
-        // Relative to the largest number of the row, which the scale of metres does not change.
-        let scale = lead
-            .iter()
-            .fold(0.0_f64, |most, value| most.max(value.abs()));
-        if lead[column].abs() <= 1e-12 * scale.max(f64::MIN_POSITIVE) {
-            return None;
-        }
-        for (_, row) in rows.iter_mut().enumerate().filter(|(i, _)| *i != column) {
-            let factor = row[column] / lead[column];
-            for (value, lead) in row.iter_mut().zip(lead) {
-                *value -= factor * lead;
-            }
-        }
-    }
-    Some(std::array::from_fn(|i| rows[i][3] / rows[i][i]))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::dataset::fixture::Fixture;
     use crate::progress::Silent;
     use image::RgbImage;
-
-    #[test]
-    fn the_fusion_finds_the_law_behind_most_vehicles_and_is_not_led_by_a_few_wrong_ones() {
-        let mut rows: Vec<([f64; 3], f64)> = (1..60)
-            .map(|i| {
-                let size = 10.0 + f64::from(i);
-                let matching = 12.0 + f64::from(i * 7 % 41);
-                ([1.0, size, matching], 0.5 + 0.3 * size + 0.7 * matching)
-            })
-            .collect();
-        for row in rows.iter_mut().step_by(12) {
-            row.0[2] = 400.0;
-        }
-        let found = fit_fusion(&rows).unwrap();
-        for (features, truth) in rows.iter().filter(|(features, _)| features[2] < 400.0) {
-            let estimate: f64 = features.iter().zip(found).map(|(f, c)| f * c).sum();
-            let error = estimate / truth - 1.0;
-            assert!(error.abs() < 0.03, "{found:?} is off by {error}");
-        }
-    }
-
-    #[test]
-    fn equations_that_say_the_same_have_no_solution() {
-        assert_eq!(fit_fusion(&[([1.0, 2.0, 3.0], 4.0)]), None);
-        assert_eq!(fit_fusion(&[]), None);
-    }
 
     #[test]
     fn the_size_of_vehicles_of_one_size_gives_their_distance_and_centres_triangulate_it() {
@@ -345,9 +234,9 @@ mod tests {
                 images: [&black, &black],
                 boxes: [vehicle.left.box_pixel, vehicle.right.box_pixel],
             };
-            let [network, size, triangulation, matching, fusion] =
+            let [fused, network, size, triangulation, matching] =
                 baselines.estimates(&sighting, &rig);
-            assert_eq!((network, matching), (None, None));
+            assert_eq!((fused, network, matching), (None, None, None));
             // Boxes are as wide as the depth says, not the distance.
             let size = size.unwrap();
             assert!((size / vehicle.distance_m - 1.0).abs() < 0.1, "{size}");
@@ -356,7 +245,6 @@ mod tests {
                 (triangulation - vehicle.distance_m).abs() < 0.01,
                 "{triangulation}"
             );
-            assert_eq!(fusion, Some(size), "nothing to match in a black image");
         }
     }
 

@@ -71,25 +71,25 @@ pub struct DistanceRow {
     pub within_5_percent: Option<f64>,
 }
 
-/// The network against a baseline on the vehicles that both have an estimate of; a row of
+/// The ranger in use against another method on the vehicles that both have an estimate of; a row of
 /// `differences.csv`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DifferenceRow {
     /// Where the boxes come from.
     pub boxes: Boxes,
-    /// The baseline.
+    /// The other method.
     pub method: Method,
     /// Vehicles that both have an estimate of.
     pub vehicles: usize,
-    /// The network's mean absolute error on them, metres.
-    pub network_mae_m: f64,
-    /// The baseline's.
+    /// The ranger's mean absolute error on them, metres.
+    pub ranger_mae_m: f64,
+    /// The other method's.
     pub method_mae_m: f64,
-    /// The network's less the baseline's: negative where the network is better.
+    /// The ranger's less the other method's: negative where the ranger is better.
     pub difference_m: f64,
     /// Bound of the difference.
     pub low_m: Option<f64>,
-    /// Bound of the difference: below 0, the network is better beyond chance.
+    /// Bound of the difference: below 0, the ranger is better beyond chance.
     pub high_m: Option<f64>,
 }
 
@@ -167,11 +167,12 @@ impl Drawing {
 }
 
 /// Every row: boxes, methods, groupings. A grouping of which nothing is known is left out, and so is
-/// a method without any answer, and the classes of a dataset with one.
+/// a method without any answer but the ranger in use, and the classes of a dataset with one.
 pub(super) fn rows(
     vehicles: &[VehicleRow],
     false_vehicles: &[FalseVehicle],
     drawing: &Drawing,
+    ranger: Method,
 ) -> Vec<DistanceRow> {
     let groups = Groups::new(vehicles);
     let mut rows = Vec::new();
@@ -207,7 +208,7 @@ pub(super) fn rows(
         for boxes in Boxes::ALL {
             for method in Method::ALL {
                 let answers = |v: &&VehicleRow| v.estimate(boxes, method).is_some();
-                if method != Method::Network && !vehicles.iter().any(|v| answers(&v)) {
+                if method != ranger && !vehicles.iter().any(|v| answers(&v)) {
                     continue;
                 }
                 for (key, members) in &members {
@@ -288,19 +289,20 @@ pub(crate) fn row(
     }
 }
 
-/// The network against every baseline.
-pub(super) fn differences(vehicles: &[VehicleRow], drawing: &Drawing) -> Vec<DifferenceRow> {
+/// The ranger in use against every other method.
+pub(super) fn differences(
+    vehicles: &[VehicleRow],
+    drawing: &Drawing,
+    ranger: Method,
+) -> Vec<DifferenceRow> {
     let mut rows = Vec::new();
     for boxes in Boxes::ALL {
-        for method in Method::ALL
-            .into_iter()
-            .filter(|method| *method != Method::Network)
-        {
+        for method in Method::ALL.into_iter().filter(|method| *method != ranger) {
             let errors: Vec<(u64, [f64; 3])> = vehicles
                 .iter()
                 .filter_map(|v| {
                     let error = |method| Some((v.estimate(boxes, method)? - v.distance_m).abs());
-                    Some((v.frame, [1.0, error(Method::Network)?, error(method)?]))
+                    Some((v.frame, [1.0, error(ranger)?, error(method)?]))
                 })
                 .filter(|(_, values)| values.iter().all(|value| value.is_finite()))
                 .collect();
@@ -310,14 +312,14 @@ pub(super) fn differences(vehicles: &[VehicleRow], drawing: &Drawing) -> Vec<Dif
             let count = errors.len() as f64;
             let mean = |i: usize| errors.iter().map(|(_, values)| values[i]).sum::<f64>() / count;
             let sums = drawing.sums(errors.iter().copied());
-            let interval = drawing.intervals(&sums, |[count, network, baseline]| {
-                (count > 0.0).then_some([(network - baseline) / count])
+            let interval = drawing.intervals(&sums, |[count, ranger, other]| {
+                (count > 0.0).then_some([(ranger - other) / count])
             });
             rows.push(DifferenceRow {
                 boxes,
                 method,
                 vehicles: errors.len(),
-                network_mae_m: mean(1),
+                ranger_mae_m: mean(1),
                 method_mae_m: mean(2),
                 difference_m: mean(1) - mean(2),
                 low_m: interval.map(|[interval]| interval.low),
@@ -328,7 +330,7 @@ pub(super) fn differences(vehicles: &[VehicleRow], drawing: &Drawing) -> Vec<Dif
     rows
 }
 
-/// The network of one run against that of another on the same vehicles.
+/// The ranger of one run against that of another on the same vehicles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RunDifference {
     /// Vehicles that both have an estimate of.
@@ -339,17 +341,21 @@ pub struct RunDifference {
     pub interval: Option<Interval>,
 }
 
-/// Compares two runs on vehicles that both were asked about; None where they have none in common.
+/// Compares a method of two runs on vehicles that both were asked about; None where they have none in
+/// common.
 pub fn paired_difference(
     pairs: &[(VehicleRow, VehicleRow)],
     boxes: Boxes,
+    methods: [Method; 2],
 ) -> Option<RunDifference> {
     let errors: Vec<(u64, [f64; 2])> = pairs
         .iter()
         .filter_map(|(a, b)| {
-            let error =
-                |v: &VehicleRow| Some((v.estimate(boxes, Method::Network)? - v.distance_m).abs());
-            Some((a.frame, [1.0, error(b)? - error(a)?]))
+            let error = |v: &VehicleRow, method: Method| {
+                Some((v.estimate(boxes, method)? - v.distance_m).abs())
+            };
+            let [of_a, of_b] = methods;
+            Some((a.frame, [1.0, error(b, of_b)? - error(a, of_a)?]))
         })
         .filter(|(_, [_, difference])| difference.is_finite())
         .collect();

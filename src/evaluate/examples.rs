@@ -5,7 +5,7 @@ use std::path::Path;
 use image::{RgbImage, imageops};
 use serde::{Deserialize, Serialize};
 
-use super::vehicles::{FalseVehicle, VehicleRow};
+use super::vehicles::{Boxes, FalseVehicle, Method, VehicleRow};
 use crate::annotate::{Annotation, annotate_pair};
 use crate::dataset::{BoxKind, StereoDataset};
 use crate::error::{Error, Result};
@@ -88,6 +88,7 @@ pub(super) fn draw(
     folder: &Path,
     dataset: &StereoDataset,
     kind: BoxKind,
+    method: Method,
     vehicles: &[VehicleRow],
     false_vehicles: &[FalseVehicle],
 ) -> Result<Vec<ExampleRow>> {
@@ -103,7 +104,7 @@ pub(super) fn draw(
         }
         let chosen = match example {
             ExampleKind::False => of_false(false_vehicles),
-            _ => of_labelled(example, vehicles),
+            _ => of_labelled(example, method, vehicles),
         };
         for (row, area) in chosen {
             let Some((picture, path)) = picture(dataset, kind, &row, area)
@@ -123,9 +124,14 @@ pub(super) fn draw(
 
 /// Examples among the labelled vehicles, with the detected boxes; the labelled ones are looked up when
 /// they are drawn.
-fn of_labelled(kind: ExampleKind, vehicles: &[VehicleRow]) -> Vec<(ExampleRow, Option<PixelBox>)> {
+fn of_labelled(
+    kind: ExampleKind,
+    method: Method,
+    vehicles: &[VehicleRow],
+) -> Vec<(ExampleRow, Option<PixelBox>)> {
+    let estimate = |v: &VehicleRow| v.estimate(Boxes::Pipeline, method);
     let error = |v: &VehicleRow| {
-        let estimated_m = v.pipeline_network_m.filter(|m| m.is_finite())?;
+        let estimated_m = estimate(v).filter(|m| m.is_finite())?;
         Some(100.0 * (estimated_m - v.distance_m) / v.distance_m)
     };
     let mut ranked: Vec<(f64, &VehicleRow)> = vehicles
@@ -149,7 +155,7 @@ fn of_labelled(kind: ExampleKind, vehicles: &[VehicleRow]) -> Vec<(ExampleRow, O
                 frame: v.frame,
                 id: Some(v.id),
                 distance_m: Some(v.distance_m),
-                estimated_m: v.pipeline_network_m,
+                estimated_m: estimate(v),
                 error_percent: error(v),
                 score: v.score,
             };

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::distances::Drawing;
 use super::judge::Judged;
-use super::vehicles::{Boxes, Method};
+use super::vehicles::{Boxes, Method, Spread};
 use crate::metrics::{DetectionSummary, DistanceErrors, DistanceSummary, Interval};
 
 /// Draws for average precision, each of which walks through every detection.
@@ -50,8 +50,42 @@ pub struct PipelineFigures {
     pub found_interval: Option<Interval>,
     /// Bounds of the share of what the pipeline sees that is there.
     pub precision_interval: Option<Interval>,
-    /// Distance errors of the found ones.
+    /// Mean absolute error of the found ones, metres.
+    pub mae_m: Option<f64>,
+    /// Root of their mean squared error, metres.
+    pub rmse_m: Option<f64>,
+    /// Their mean relative error, percent.
+    pub mre_percent: Option<f64>,
+    /// How well the intervals hold.
+    #[serde(flatten)]
+    pub spread: SpreadFigures,
+    /// All distance errors of the found ones.
     pub distance: Option<DistanceSummary>,
+}
+
+/// The distances of labelled boxes by the ranger in use.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TrueBoxFigures {
+    /// How well the intervals hold.
+    #[serde(flatten)]
+    pub spread: SpreadFigures,
+    /// All distance errors.
+    #[serde(flatten)]
+    pub distance: DistanceSummary,
+}
+
+/// How many vehicles have a distance, and how well the intervals that come with it hold; none of the
+/// latter where the ranger has no intervals.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct SpreadFigures {
+    /// Vehicles with a distance.
+    pub answered: usize,
+    /// Part of them whose distance the 68 % interval holds, percent.
+    pub coverage_68: Option<f64>,
+    /// Part of them whose distance the 95 % interval holds, percent.
+    pub coverage_95: Option<f64>,
+    /// Mean negative logarithm of the density at the true distance, per metre.
+    pub nll: Option<f64>,
 }
 
 /// The figures of the detector, of which each draw of the bootstrap takes a while.
@@ -79,7 +113,12 @@ pub(super) fn detection_figures(
 }
 
 /// The figures of the whole pipeline.
-pub(super) fn pipeline_figures(judged: &Judged, drawing: &Drawing) -> PipelineFigures {
+pub(super) fn pipeline_figures(
+    judged: &Judged,
+    drawing: &Drawing,
+    method: Method,
+) -> PipelineFigures {
+    let distance = errors(judged, Boxes::Pipeline, method);
     let found = judged
         .vehicles
         .iter()
@@ -105,17 +144,59 @@ pub(super) fn pipeline_figures(judged: &Judged, drawing: &Drawing) -> PipelineFi
         false_vehicles: judged.false_vehicles.len(),
         found_interval: found_interval.map(|[interval]| interval),
         precision_interval: precision_interval.map(|[interval]| interval),
-        distance: errors(judged, Boxes::Pipeline),
+        mae_m: distance.map(|d| d.mae_m),
+        rmse_m: distance.map(|d| d.rmse_m),
+        mre_percent: distance.map(|d| d.mre_percent),
+        spread: spread(judged, Boxes::Pipeline, method),
+        distance,
     }
 }
 
-/// The network's errors.
-pub(super) fn errors(judged: &Judged, boxes: Boxes) -> Option<DistanceSummary> {
+/// The figures of labelled boxes.
+pub(super) fn true_box_figures(judged: &Judged, method: Method) -> Option<TrueBoxFigures> {
+    Some(TrueBoxFigures {
+        distance: errors(judged, Boxes::True, method)?,
+        spread: spread(judged, Boxes::True, method),
+    })
+}
+
+/// A method's errors.
+fn errors(judged: &Judged, boxes: Boxes, method: Method) -> Option<DistanceSummary> {
     let mut errors = DistanceErrors::new();
     for vehicle in &judged.vehicles {
-        if let Some(estimate) = vehicle.estimate(boxes, Method::Network) {
+        if let Some(estimate) = vehicle.estimate(boxes, method) {
             errors.add(estimate, vehicle.distance_m);
         }
     }
     errors.summary()
+}
+
+/// How well a method's intervals hold.
+fn spread(judged: &Judged, boxes: Boxes, method: Method) -> SpreadFigures {
+    let answered = judged
+        .vehicles
+        .iter()
+        .filter(|vehicle| vehicle.estimate(boxes, method).is_some())
+        .count();
+    let spreads: Vec<(f64, Spread)> = judged
+        .vehicles
+        .iter()
+        .filter(|_| method == Method::Fused)
+        .filter_map(|vehicle| Some((vehicle.distance_m, vehicle.spread(boxes)?)))
+        .collect();
+    let mean = |of: &dyn Fn(&(f64, Spread)) -> f64| {
+        let sum: f64 = spreads.iter().map(of).sum();
+        (!spreads.is_empty()).then(|| sum / spreads.len() as f64)
+    };
+    let percent = |held: bool| if held { 100.0 } else { 0.0 };
+    SpreadFigures {
+        answered,
+        coverage_68: mean(&|(true_m, spread)| percent(holds(spread.within_68_m, *true_m))),
+        coverage_95: mean(&|(true_m, spread)| percent(holds(spread.within_95_m, *true_m))),
+        nll: mean(&|(_, spread)| spread.nll),
+    }
+}
+
+fn holds([low, high]: [f64; 2], value: f64) -> bool {
+    (low..=high).contains(&value)
 }

@@ -8,16 +8,16 @@ use super::baselines::Baselines;
 use super::detection::add_image;
 use super::match_vehicles;
 use super::subject::Subject;
-use super::vehicles::{Boxes, Estimates, FalseVehicle, Places};
+use super::vehicles::{Boxes, Estimates, FalseVehicle, Places, Spread};
 use crate::dataset::{BoxKind, Frame, Problem, Side, StereoDataset, StereoLabel};
 use crate::detector::nms::NmsConfig;
 use crate::detector::{Detection, LetterboxedCandidates, VehicleDetector};
 use crate::error::{Error, Result};
-use crate::geometry::{PixelBox, StereoRig};
+use crate::geometry::PixelBox;
 use crate::metrics::{Confusion, DetectionMetrics, Target, is_covered};
 use crate::pipeline::Vehicle;
 use crate::progress::Progress;
-use crate::ranging::{DistanceEstimator, Sighting};
+use crate::ranging::{FusedRanger, NamedBox, Ranged, Sighting, TrustedRig};
 
 /// Frames that are decoded and detected together.
 const BATCH: usize = 8;
@@ -50,9 +50,13 @@ pub(super) struct Judge<'a> {
     subject: &'a Subject,
     dataset: &'a StereoDataset,
     baselines: Option<&'a Baselines>,
+    rig: &'a TrustedRig,
     kind: BoxKind,
     places: Places<'a>,
 }
+
+/// What every method says of a box, and what the posterior says beside its median.
+type Said = (Estimates, Option<Ranged>);
 
 /// A decoded frame with what the detector found in its images, in the order of the images.
 struct Seen<'a> {
@@ -73,12 +77,14 @@ impl<'a> Judge<'a> {
         subject: &'a Subject,
         dataset: &'a StereoDataset,
         baselines: Option<&'a Baselines>,
+        rig: &'a TrustedRig,
     ) -> Self {
         let kind = subject.box_kind();
         Self {
             subject,
             dataset,
             baselines,
+            rig,
             kind,
             places: Places::new(dataset, kind),
         }
@@ -160,10 +166,10 @@ impl<'a> Judge<'a> {
         if let Some(detector) = self.subject.detector() {
             self.detect(detector, &mut seen, judged)?;
         }
-        if let Some(estimator) = self.subject.estimator()
+        if let Some(fused) = self.subject.fused()
             && self.dataset.info.stereo
         {
-            self.range(estimator, &seen, judged)?;
+            self.range(fused, &seen, judged)?;
         }
         for seen in &seen {
             judged
@@ -244,27 +250,34 @@ impl<'a> Judge<'a> {
 
     /// Estimates the distances of labelled and of detected vehicles, all frames at once, and
     /// matches them. Detected ones go the pipeline's way; without a detector there are none.
-    fn range(
-        &self,
-        estimator: &DistanceEstimator,
-        seen: &[Seen],
-        judged: &mut Judged,
-    ) -> Result<()> {
-        let rig = self.dataset.rig();
-        let ranger = self.subject.ranger();
-        let own_rig = match ranger {
-            Some(ranger) => ranger.rig_for((rig.left.width, rig.left.height))?,
-            None => *rig,
-        };
-        let paired: Vec<Paired> = seen
-            .par_iter()
-            .map(|seen| Paired {
-                labels: seen.frame.vehicles(self.kind),
-                pairs: ranger.map_or_else(Vec::new, |ranger| {
-                    ranger.pairs(pair_of(seen), seen.found.clone(), &own_rig)
-                }),
-            })
-            .collect();
+    fn range(&self, fused: &FusedRanger, seen: &[Seen], judged: &mut Judged) -> Result<()> {
+        let classes = self.dataset.classes();
+        let mut paired: Vec<Paired> = Vec::with_capacity(seen.len());
+        let mut of_labels = Vec::with_capacity(seen.len());
+        for seen in seen {
+            let labels = seen.frame.vehicles(self.kind);
+            let images = pair_of(seen);
+            // What is ignored hides others, too.
+            let boxes: Vec<NamedBox> = labels
+                .iter()
+                .map(|label| (label.left.box_pixel, Some(label.class)))
+                .chain(self.unjudged(seen.frame))
+                .map(|(box_pixel, class)| NamedBox {
+                    box_pixel,
+                    class: class
+                        .and_then(|class| classes.get(class as usize))
+                        .map(String::as_str),
+                })
+                .collect();
+            let (mut ranged, _) = fused.range(images, &boxes, self.rig)?;
+            ranged.truncate(labels.len());
+            of_labels.push(ranged);
+            let pairs = match self.subject.ranger() {
+                Some(ranger) => ranger.pairs(images, seen.found.clone(), self.rig)?,
+                None => Vec::new(),
+            };
+            paired.push(Paired { labels, pairs });
+        }
         let frames = || seen.iter().zip(&paired);
         let labelled = frames().flat_map(|(seen, paired)| {
             let boxes = paired
@@ -277,35 +290,48 @@ impl<'a> Judge<'a> {
             let boxes = paired.pairs.iter().map(|p| [p.left.box_pixel, p.right]);
             sightings(seen, boxes)
         });
-        let mut of_labels = self
-            .estimates(estimator, &labelled.collect::<Vec<_>>(), rig)?
-            .into_iter();
-        let mut of_pairs = self
-            .estimates(estimator, &detected.collect::<Vec<_>>(), &own_rig)?
-            .into_iter();
-        for (seen, paired) in frames() {
-            let of_labels: Vec<_> = of_labels.by_ref().take(paired.labels.len()).collect();
-            let of_pairs: Vec<_> = of_pairs.by_ref().take(paired.pairs.len()).collect();
+        let mut by_labels = self.estimates(&labelled.collect::<Vec<_>>())?.into_iter();
+        let mut by_pairs = self.estimates(&detected.collect::<Vec<_>>())?.into_iter();
+        for ((seen, paired), of_labels) in frames().zip(of_labels) {
+            let of_labels: Vec<Said> = by_labels
+                .by_ref()
+                .zip(of_labels)
+                .map(|(estimates, ranged)| said(estimates, Some(ranged)))
+                .collect();
+            let of_pairs: Vec<Said> = paired
+                .pairs
+                .iter()
+                .zip(by_pairs.by_ref())
+                .map(|(pair, estimates)| said(estimates, pair.ranged.clone()))
+                .collect();
             self.match_frame(seen.frame, paired, &of_labels, of_pairs, judged);
         }
         Ok(())
     }
 
-    /// What the network, which is given this rig, and the baselines say.
-    fn estimates(
-        &self,
-        estimator: &DistanceEstimator,
-        sightings: &[Sighting],
-        rig: &StereoRig,
-    ) -> Result<Vec<Estimates>> {
-        let network_m = estimator.estimate(sightings, rig)?;
+    /// Boxes of a frame's left image that are not judged.
+    fn unjudged(&self, frame: &Frame) -> impl Iterator<Item = (PixelBox, Option<u32>)> {
+        let boxes = frame.unjudged_boxes(self.kind, Side::Left);
+        boxes.into_iter().map(|box_pixel| (box_pixel, None))
+    }
+
+    /// What the network, where there is one, and the baselines say.
+    fn estimates(&self, sightings: &[Sighting]) -> Result<Vec<Estimates>> {
+        let rig = &self.rig.rig;
+        let network_m: Vec<Option<f64>> = match self.subject.estimator() {
+            Some(estimator) => {
+                let distances_m = estimator.estimate(sightings, rig)?;
+                distances_m.into_iter().map(Some).collect()
+            }
+            None => vec![None; sightings.len()],
+        };
         let estimates = sightings.par_iter().zip(network_m);
         Ok(estimates
             .map(|(sighting, network_m)| {
-                let mut estimates = self.baselines.map_or([None; 5], |baselines| {
-                    baselines.estimates(sighting, self.dataset.rig())
-                });
-                estimates[0] = Some(network_m);
+                let mut estimates = self
+                    .baselines
+                    .map_or([None; 5], |baselines| baselines.estimates(sighting, rig));
+                estimates[1] = network_m;
                 estimates
             })
             .collect())
@@ -315,33 +341,31 @@ impl<'a> Judge<'a> {
         &self,
         frame: &Frame,
         Paired { labels, pairs }: &Paired,
-        of_labels: &[Estimates],
-        of_pairs: Vec<Estimates>,
+        of_labels: &[Said],
+        of_pairs: Vec<Said>,
         judged: &mut Judged,
     ) {
         let classes = self.dataset.classes();
-        let mut found: Vec<(Vehicle, Estimates)> = pairs
+        let kind = self.subject.options().ranger;
+        let mut found: Vec<(Vehicle, Said)> = pairs
             .iter()
             .zip(of_pairs)
-            .map(|(pair, estimates)| {
-                let distance_m = estimates[0].unwrap_or(f64::NAN);
-                (pair.at(distance_m, classes), estimates)
-            })
+            .map(|(pair, said)| (pair.vehicle(kind, said.0[1], classes), said))
             .collect();
         found.sort_by(|a, b| a.0.distance_m.total_cmp(&b.0.distance_m));
         let vehicles: Vec<Vehicle> = found.iter().map(|(vehicle, _)| vehicle.clone()).collect();
         let matches = match_vehicles(&vehicles, labels);
-        for (i, (label, estimates)) in labels.iter().zip(of_labels).enumerate() {
+        for (i, (label, said)) in labels.iter().zip(of_labels).enumerate() {
             let mut row = self.places.unseen(frame, label);
-            row.set_estimates(Boxes::True, *estimates);
+            row.set_said(Boxes::True, said);
             if let Some((vehicle, _)) = matches.iter().find(|(_, of)| *of == i) {
-                let (vehicle, estimates) = &found[*vehicle];
+                let (vehicle, said) = &found[*vehicle];
                 let overlap = vehicle.left.iou(&label.left.box_pixel);
                 row.found = true;
                 row.set_found_box(&vehicle.left);
                 row.score = Some(vehicle.score);
                 row.overlap = Some(overlap.min(vehicle.right.iou(&label.right.box_pixel)));
-                row.set_estimates(Boxes::Pipeline, *estimates);
+                row.set_said(Boxes::Pipeline, said);
             }
             judged.vehicles.push(row);
         }
@@ -364,6 +388,22 @@ impl<'a> Judge<'a> {
                 x_max: vehicle.left.x_max,
                 y_max: vehicle.left.y_max,
             });
+        }
+    }
+}
+
+/// Estimates with the posterior's median among them.
+fn said(mut estimates: Estimates, ranged: Option<Ranged>) -> Said {
+    estimates[0] = ranged.as_ref().map(|ranged| ranged.posterior.median_m());
+    (estimates, ranged)
+}
+
+impl super::VehicleRow {
+    /// Sets all that is said of the vehicle from these boxes.
+    fn set_said(&mut self, boxes: Boxes, (estimates, ranged): &Said) {
+        self.set_estimates(boxes, *estimates);
+        if let Some(ranged) = ranged {
+            self.set_spread(boxes, &Spread::new(&ranged.posterior, self.distance_m));
         }
     }
 }

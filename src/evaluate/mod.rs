@@ -16,6 +16,7 @@ mod judge;
 mod latency;
 mod pipeline;
 mod protocol;
+mod reliability;
 mod show;
 mod subject;
 mod tables;
@@ -27,17 +28,18 @@ pub use detection::detection_metrics;
 pub use detections::{ClassRow, CocoRow, ConfusionRow, CurveRow};
 pub use distances::{DifferenceRow, DistanceRow, RunDifference, paired_difference};
 pub use examples::{ExampleKind, ExampleRow};
-pub use figures::{DetectionFigures, PipelineFigures};
+pub use figures::{DetectionFigures, PipelineFigures, SpreadFigures, TrueBoxFigures};
 pub use groups::Grouping;
 pub use latency::LatencyRow;
 pub use pipeline::{
     Bootstrap, EvaluateRequest, Evaluation, evaluate, evaluate_dataset, match_vehicles,
 };
 pub use protocol::{MethodRow, MissingCell, Protocol, ProtocolRow};
+pub use reliability::{ReliabilityRow, SpreadRow};
 pub use show::{LABEL_NOTE, protocol_text};
 pub use subject::Networks;
 pub use tables::{Tables, evaluations, read};
-pub use vehicles::{Boxes, Estimates, FalseVehicle, Method, VehicleRow};
+pub use vehicles::{Boxes, Estimates, FalseVehicle, Method, Spread, VehicleRow};
 
 pub(crate) use distances::{Drawing, row};
 pub(crate) use groups::Groups;

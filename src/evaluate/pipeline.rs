@@ -6,20 +6,20 @@ use serde::{Deserialize, Serialize};
 
 use super::baselines::{Baselines, fit_for_run};
 use super::distances::{self, Drawing};
-use super::figures::{self, DetectionFigures, PipelineFigures};
+use super::figures::{self, DetectionFigures, PipelineFigures, TrueBoxFigures};
 use super::judge::Judge;
 use super::subject::{Networks, Subject};
 use super::tables::{self, Tables};
-use super::vehicles::{Boxes, VehicleRow};
-use super::{detections, examples, latency, protocol};
+use super::vehicles::{Method, VehicleRow};
+use super::{detections, examples, latency, protocol, reliability};
 use crate::dataset::{BoxKind, Split, StereoDataset, StereoLabel};
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
 use crate::files;
-use crate::metrics::DistanceSummary;
 use crate::pairing::PairingMode;
 use crate::pipeline::{PredictOptions, StereoRanger, Vehicle};
 use crate::progress::Progress;
+use crate::ranging::{FusedRanger, RangerKind, TrustedRig};
 use crate::train::saved_config;
 
 /// Least intersection over union of a found and a labelled box of the same vehicle.
@@ -31,8 +31,12 @@ pub(crate) const DRAWS: usize = 1000;
 /// What to evaluate, and on what.
 #[derive(Debug, Clone)]
 pub struct EvaluateRequest<'a> {
-    /// Run folder.
-    pub run: &'a Path,
+    /// Run folder; without one the posterior is judged on labelled boxes.
+    pub run: Option<&'a Path>,
+    /// Kind of the labelled boxes where no run says which it learnt; tight ones where there are.
+    pub boxes: Option<BoxKind>,
+    /// The cameras as a calibration has them, in place of the dataset's.
+    pub rig: Option<TrustedRig>,
     /// Dataset folder.
     pub data: &'a Path,
     /// Split of the dataset.
@@ -42,7 +46,7 @@ pub struct EvaluateRequest<'a> {
     /// What the pipeline counts as a detection, and how it pairs.
     pub options: PredictOptions,
     /// Folder for the tables; where it is not given, `evaluation/<dataset>-<split>` in the run's
-    /// folder, with the pairing and the confidence in its name where they are not the usual ones.
+    /// folder, or in the current one, with what is not as usual in its name.
     pub out: Option<&'a Path>,
 }
 
@@ -51,8 +55,11 @@ pub struct EvaluateRequest<'a> {
 pub struct Evaluation {
     /// Version of the program.
     pub version: String,
-    /// Run folder.
-    pub run: PathBuf,
+    /// Run folder; none where nothing trained is judged.
+    pub run: Option<PathBuf>,
+    /// Which answer the main figures are of.
+    #[serde(default)]
+    pub ranger: RangerKind,
     /// Dataset folder.
     pub data: PathBuf,
     /// Split.
@@ -76,10 +83,9 @@ pub struct Evaluation {
     pub bootstrap: Bootstrap,
     /// The detector on all images of the split; none where the run has no detector.
     pub detection: Option<DetectionFigures>,
-    /// The distance network on labelled boxes; none where the run has no distance network.
-    pub true_boxes: Option<DistanceSummary>,
-    /// Detector, pairing and distance network together; none where one is missing, and for single
-    /// images.
+    /// The ranger in use on labelled boxes; none where the run has a detector alone.
+    pub true_boxes: Option<TrueBoxFigures>,
+    /// Detector and ranger together; none where one is missing, and for single images.
     pub pipeline: Option<PipelineFigures>,
     /// Constants of the baselines; none where there is nothing to fit them on.
     pub baselines: Option<Baselines>,
@@ -88,6 +94,13 @@ pub struct Evaluation {
     /// Every table; files of their own beside this one.
     #[serde(skip)]
     pub tables: Tables,
+}
+
+impl Evaluation {
+    /// The ranger in use as one of the methods.
+    pub const fn method(&self) -> Method {
+        Method::of_ranger(self.ranger)
+    }
 }
 
 /// How the bounds of figures were found: 95 % of the draws, with replacement, lie between them.
@@ -112,10 +125,13 @@ pub struct Bootstrap {
 /// folder that cannot be written, or a
 /// device that fails.
 pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Evaluation> {
-    let device = request.device.open()?;
-    let subject = Subject::load(request.run, request.options, &device)?;
     let mut dataset = StereoDataset::open(request.data)?;
-    if let Some(config) = saved_config(request.run)?
+    let subject = match request.run {
+        Some(run) => Subject::load(run, request.options, &request.device.open()?)?,
+        None => of_labels(request, &dataset)?,
+    };
+    let config = request.run.map(saved_config).transpose()?.flatten();
+    if let Some(config) = config
         && let Some(split) = config.split
     {
         dataset.resplit(split, config.seed)?;
@@ -123,14 +139,40 @@ pub fn evaluate(request: &EvaluateRequest, progress: &dyn Progress) -> Result<Ev
     for problem in &dataset.problems {
         progress.note(&format!("left out: {problem}"));
     }
+    let rig = request
+        .rig
+        .unwrap_or_else(|| TrustedRig::of_dataset(&dataset.info));
     evaluate_into(
         subject,
         request.run,
         &dataset,
+        &rig,
         request.split,
         request.out,
         progress,
     )
+}
+
+/// What is judged without a run.
+fn of_labels(request: &EvaluateRequest, dataset: &StereoDataset) -> Result<Subject> {
+    if request.options.ranger == RangerKind::Paper {
+        return Err(Error::value(
+            "--ranger paper",
+            "the paper's network is trained, and no run is given",
+            "give --run DIR, or leave --ranger out",
+        ));
+    }
+    let kinds = &dataset.info.label_kinds;
+    let kind = request.boxes.unwrap_or_else(|| {
+        let tight = kinds.contains(&BoxKind::Tight);
+        if tight {
+            BoxKind::Tight
+        } else {
+            BoxKind::Sphere
+        }
+    });
+    let fused = FusedRanger::new(kind);
+    Ok(Subject::Labels(Box::new(fused), request.options))
 }
 
 /// Evaluates a loaded run on a dataset whose frames are divided, and writes the tables into the
@@ -146,18 +188,22 @@ pub fn evaluate_dataset(
     progress: &dyn Progress,
 ) -> Result<Evaluation> {
     let subject = Subject::Both(Box::new(ranger.clone()));
-    evaluate_into(subject, run, dataset, split, None, progress)
+    let rig = TrustedRig::of_dataset(&dataset.info);
+    evaluate_into(subject, Some(run), dataset, &rig, split, None, progress)
 }
 
 fn evaluate_into(
     subject: Subject,
-    run: &Path,
+    run: Option<&Path>,
     dataset: &StereoDataset,
+    rig: &TrustedRig,
     split: Split,
     out: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Evaluation> {
-    let subject = subject.behind_rig_of(dataset, progress)?;
+    let subject = subject.behind_rig_of(dataset, rig, progress)?;
+    let ranger = subject.options().ranger;
+    let method = Method::of_ranger(ranger);
     let networks = subject.networks();
     let kind = subject.box_kind();
     let frames = dataset.split(split);
@@ -182,7 +228,7 @@ fn evaluate_into(
     } else {
         None
     };
-    let judged = Judge::new(&subject, dataset, baselines.as_ref()).run(&frames, progress)?;
+    let judged = Judge::new(&subject, dataset, baselines.as_ref(), rig).run(&frames, progress)?;
     let classes = dataset.classes();
     let drawing = Drawing::new(&judged.frames, DRAWS);
     let summary = judged.detection.compute();
@@ -193,28 +239,38 @@ fn evaluate_into(
         &frames,
         &judged.vehicles,
         &judged.false_vehicles,
+        method,
     ))
     .filter(|protocol| protocol.cells + protocol.other_frames > 0);
     let detection = subject
         .detector()
         .map(|_| figures::detection_figures(&judged, &summary, &drawing));
     let whole = subject.ranger().filter(|_| dataset.info.stereo);
-    let pipeline = whole.map(|_| figures::pipeline_figures(&judged, &drawing));
-    let true_boxes = figures::errors(&judged, Boxes::True);
+    let pipeline = whole.map(|_| figures::pipeline_figures(&judged, &drawing, method));
+    let true_boxes = figures::true_box_figures(&judged, method);
     // Without a detector nothing was missed, and there is nothing to show.
     let shown: &[VehicleRow] = match whole {
         Some(_) => &judged.vehicles,
         None => &[],
     };
     let mut tables = Tables {
-        distance: distances::rows(&judged.vehicles, &judged.false_vehicles, &drawing),
-        differences: distances::differences(&judged.vehicles, &drawing),
+        distance: distances::rows(&judged.vehicles, &judged.false_vehicles, &drawing, method),
+        differences: distances::differences(&judged.vehicles, &drawing, method),
+        reliability: reliability::reliability(&judged.vehicles),
+        spread: reliability::by_spread(&judged.vehicles),
         latency: match whole {
             Some(ranger) => latency::measure(ranger, dataset, &frames)?,
             None => Vec::new(),
         },
         protocol: protocol.clone(),
-        examples: examples::draw(&folder, dataset, kind, shown, &judged.false_vehicles)?,
+        examples: examples::draw(
+            &folder,
+            dataset,
+            kind,
+            method,
+            shown,
+            &judged.false_vehicles,
+        )?,
         vehicles: judged.vehicles,
         false_vehicles: judged.false_vehicles,
         ..Tables::default()
@@ -230,7 +286,8 @@ fn evaluate_into(
     }
     let evaluation = Evaluation {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        run: run.to_path_buf(),
+        run: run.map(Path::to_path_buf),
+        ranger,
         data: dataset.folder.clone(),
         split,
         networks,

@@ -129,6 +129,7 @@ pub(super) fn protocol(
     frames: &[&Frame],
     vehicles: &[VehicleRow],
     false_vehicles: &[FalseVehicle],
+    ranger: Method,
 ) -> Protocol {
     let mut by_distance: BTreeMap<i64, Vec<Cell>> = BTreeMap::new();
     for (distance_m, _, _) in PAPER {
@@ -174,10 +175,10 @@ pub(super) fn protocol(
         let mut rows: Vec<ProtocolRow> = Vec::new();
         for (&tenths, cells) in &by_distance {
             let distance_m = tenths as f64 / 10.0;
-            rows.push(row(boxes, distance_m, cells, false_vehicles));
+            rows.push(row(boxes, ranger, distance_m, cells, false_vehicles));
             for method in Method::ALL {
                 let row = method_row(boxes, distance_m, method, cells);
-                if method == Method::Network || row.answered > 0 {
+                if method == ranger || row.answered > 0 {
                     protocol.methods.push(row);
                 }
             }
@@ -211,6 +212,7 @@ fn cell<'a>(frame: &Frame, vehicles: &'a [VehicleRow]) -> Option<(f64, Cell<'a>)
 
 fn row(
     boxes: Boxes,
+    ranger: Method,
     distance_m: f64,
     cells: &[Cell],
     false_vehicles: &[FalseVehicle],
@@ -219,7 +221,7 @@ fn row(
     let estimates: Vec<(Sun, f64, f64)> = cells
         .iter()
         .filter_map(|cell| {
-            let estimate = cell.vehicle.estimate(boxes, Method::Network)?;
+            let estimate = cell.vehicle.estimate(boxes, ranger)?;
             Some((cell.sun, estimate, cell.vehicle.distance_m))
         })
         .collect();

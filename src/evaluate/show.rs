@@ -25,7 +25,7 @@ impl fmt::Display for Evaluation {
                 self.pairing_mode, self.confidence
             )?,
             Networks::Detector => writeln!(f, ", confidence {}", self.confidence)?,
-            Networks::Distance => writeln!(f)?,
+            Networks::Distance | Networks::None => writeln!(f)?,
         }
         if let Some(left_out) = self.networks.left_out() {
             writeln!(f, "{left_out}")?;
@@ -54,10 +54,11 @@ impl fmt::Display for Evaluation {
                 writeln!(f, "{LABEL_NOTE}")?;
             }
         }
-        against(f, &self.tables.differences)?;
+        spread(f, self)?;
+        against(f, self.method(), &self.tables.differences)?;
         for grouping in Grouping::ALL {
             if grouping != Grouping::All {
-                groups(f, grouping, &self.tables.distance)?;
+                groups(f, self.method(), grouping, &self.tables.distance)?;
             }
         }
         if let Some(figures) = &self.pipeline {
@@ -154,13 +155,14 @@ fn methods(f: &mut fmt::Formatter<'_>, boxes: Boxes, rows: &[DistanceRow]) -> fm
     Ok(())
 }
 
-fn against(f: &mut fmt::Formatter<'_>, rows: &[DifferenceRow]) -> fmt::Result {
+fn against(f: &mut fmt::Formatter<'_>, ranger: Method, rows: &[DifferenceRow]) -> fmt::Result {
     if rows.is_empty() {
         return Ok(());
     }
     writeln!(
         f,
-        "\nnetwork against    boxes       vehicles  MAE m  difference m (below 0: the network is better)"
+        "\n{:<17}  boxes       vehicles  MAE m  difference m (below 0: {ranger} is better)",
+        format!("{ranger} against")
     )?;
     for row in rows {
         writeln!(
@@ -177,12 +179,44 @@ fn against(f: &mut fmt::Formatter<'_>, rows: &[DifferenceRow]) -> fmt::Result {
     Ok(())
 }
 
-/// The network by groups: from true boxes on the left, the pipeline on the right.
-fn groups(f: &mut fmt::Formatter<'_>, grouping: Grouping, rows: &[DistanceRow]) -> fmt::Result {
+/// How well the intervals hold.
+fn spread(f: &mut fmt::Formatter<'_>, evaluation: &Evaluation) -> fmt::Result {
+    let of_labels = evaluation.true_boxes.map(|figures| figures.spread);
+    let of_pipeline = evaluation.pipeline.as_ref().map(|figures| figures.spread);
+    let mut is_first = true;
+    for (boxes, figures) in Boxes::ALL.into_iter().zip([of_labels, of_pipeline]) {
+        let Some(figures) = figures.filter(|figures| figures.nll.is_some()) else {
+            continue;
+        };
+        if std::mem::take(&mut is_first) {
+            writeln!(
+                f,
+                "\nintervals       answered  68 % holds  95 % holds   NLL"
+            )?;
+        }
+        writeln!(
+            f,
+            "{:<14}  {:>8}  {:>8} %  {:>8} %  {:>4}",
+            boxes.name(),
+            figures.answered,
+            number(figures.coverage_68, 1),
+            number(figures.coverage_95, 1),
+            number(figures.nll, 2),
+        )?;
+    }
+    Ok(())
+}
+
+/// The ranger in use by groups: from true boxes on the left, the pipeline on the right.
+fn groups(
+    f: &mut fmt::Formatter<'_>,
+    method: Method,
+    grouping: Grouping,
+    rows: &[DistanceRow],
+) -> fmt::Result {
     let of = |boxes: Boxes| {
-        rows.iter().filter(move |row| {
-            (row.grouping, row.boxes, row.method) == (grouping, boxes, Method::Network)
-        })
+        rows.iter()
+            .filter(move |row| (row.grouping, row.boxes, row.method) == (grouping, boxes, method))
     };
     if of(Boxes::True).next().is_none() {
         return Ok(());
@@ -338,9 +372,12 @@ fn methods_by_distance(text: &mut String, protocol: &Protocol) -> fmt::Result {
             let rows = protocol.methods.iter();
             rows.filter(move |row| (row.boxes, row.method) == (boxes, method))
         };
-        if of(Method::Network).all(|row| row.answered == 0) {
+        let Some(first) = Method::ALL
+            .into_iter()
+            .find(|method| of(*method).any(|row| row.answered > 0))
+        else {
             continue;
-        }
+        };
         let others: Vec<Method> = Method::ALL
             .into_iter()
             .filter(|method| of(*method).next().is_some())
@@ -354,7 +391,7 @@ fn methods_by_distance(text: &mut String, protocol: &Protocol) -> fmt::Result {
             write!(text, "{:>15}", method.name())?;
         }
         writeln!(text)?;
-        for row in of(Method::Network).filter(|row| row.answered > 0) {
+        for row in of(first).filter(|row| row.answered > 0) {
             write!(text, "{:<10.0}", row.distance_m)?;
             for method in &others {
                 let found = of(*method).find(|other| other.distance_m == row.distance_m);

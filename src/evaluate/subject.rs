@@ -9,9 +9,10 @@ use crate::dataset::{BoxKind, StereoDataset};
 use crate::detector::VehicleDetector;
 use crate::error::{Error, Result};
 use crate::geometry::StereoRig;
-use crate::pipeline::{PredictOptions, StereoRanger};
+use crate::pipeline::{PredictOptions, StereoRanger, size_weights};
 use crate::progress::Progress;
-use crate::ranging::{DistanceEstimator, RigNote};
+use crate::ranging::size::SizeEstimator;
+use crate::ranging::{DistanceEstimator, FusedRanger, RigNote, TrustedRig};
 use crate::train::StageFolder;
 
 /// The networks that a run has.
@@ -25,6 +26,8 @@ pub enum Networks {
     Detector,
     /// The distance network alone: it is judged on labelled boxes.
     Distance,
+    /// None: the posterior, which needs none, is judged on labelled boxes.
+    None,
 }
 
 impl Networks {
@@ -32,6 +35,9 @@ impl Networks {
     pub const fn left_out(self) -> Option<&'static str> {
         match self {
             Self::Both => None,
+            Self::None => Some(
+                "without a run: the posterior, which needs no training, is judged on labelled boxes",
+            ),
             Self::Detector => Some("the run has no distance network: its detector alone is judged"),
             Self::Distance => Some(
                 "the run has no detector: its distance network is judged on labelled boxes alone",
@@ -45,7 +51,9 @@ impl Networks {
 pub(super) enum Subject {
     Both(Box<StereoRanger>),
     Detector(Box<VehicleDetector>, PredictOptions),
-    Distance(Box<DistanceEstimator>, PredictOptions),
+    Distance(Box<DistanceEstimator>, Box<FusedRanger>, PredictOptions),
+    /// Nothing that was trained: boxes of this kind.
+    Labels(Box<FusedRanger>, PredictOptions),
 }
 
 impl Subject {
@@ -63,7 +71,11 @@ impl Subject {
             }
             (false, true) => {
                 let distance = DistanceEstimator::load(&distance, device)?;
-                Ok(Self::Distance(Box::new(distance), options))
+                let sizes = size_weights(run)
+                    .map(|path| SizeEstimator::load(&path, device))
+                    .transpose()?;
+                let fused = FusedRanger::new(distance.header().box_kind).with_sizes(sizes);
+                Ok(Self::Distance(Box::new(distance), Box::new(fused), options))
             }
             _ => {
                 let ranger = StereoRanger::load(run, device)?.with_options(options);
@@ -78,6 +90,7 @@ impl Subject {
             Self::Both(_) => Networks::Both,
             Self::Detector(..) => Networks::Detector,
             Self::Distance(..) => Networks::Distance,
+            Self::Labels(..) => Networks::None,
         }
     }
 
@@ -93,15 +106,15 @@ impl Subject {
         match self {
             Self::Both(ranger) => Some(ranger.detector()),
             Self::Detector(detector, _) => Some(detector),
-            Self::Distance(..) => None,
+            Self::Distance(..) | Self::Labels(..) => None,
         }
     }
 
     pub fn estimator(&self) -> Option<&DistanceEstimator> {
         match self {
             Self::Both(ranger) => Some(ranger.estimator()),
-            Self::Detector(..) => None,
-            Self::Distance(estimator, _) => Some(estimator),
+            Self::Detector(..) | Self::Labels(..) => None,
+            Self::Distance(estimator, ..) => Some(estimator),
         }
     }
 
@@ -109,7 +122,9 @@ impl Subject {
     pub fn options(&self) -> &PredictOptions {
         match self {
             Self::Both(ranger) => ranger.options(),
-            Self::Detector(_, options) | Self::Distance(_, options) => options,
+            Self::Detector(_, options)
+            | Self::Distance(_, _, options)
+            | Self::Labels(_, options) => options,
         }
     }
 
@@ -118,16 +133,27 @@ impl Subject {
         match self {
             Self::Both(ranger) => ranger.detector().header().box_kind,
             Self::Detector(detector, _) => detector.header().box_kind,
-            Self::Distance(estimator, _) => estimator.header().box_kind,
+            Self::Distance(estimator, ..) => estimator.header().box_kind,
+            Self::Labels(fused, _) => fused.box_kind(),
+        }
+    }
+
+    /// The default way to a distance; none without a distance network of a run.
+    pub fn fused(&self) -> Option<&FusedRanger> {
+        match self {
+            Self::Both(ranger) => Some(ranger.fused()),
+            Self::Distance(_, fused, _) | Self::Labels(fused, _) => Some(fused),
+            Self::Detector(..) => None,
         }
     }
 
     /// The rig that was trained for.
-    pub fn rig(&self) -> &StereoRig {
+    fn trained_rig(&self) -> Option<&StereoRig> {
         match self {
-            Self::Both(ranger) => ranger.rig(),
-            Self::Detector(detector, _) => &detector.header().rig,
-            Self::Distance(estimator, _) => &estimator.header().rig,
+            Self::Both(ranger) => Some(ranger.rig()),
+            Self::Detector(detector, _) => Some(&detector.header().rig),
+            Self::Distance(estimator, ..) => Some(&estimator.header().rig),
+            Self::Labels(..) => None,
         }
     }
 
@@ -135,20 +161,23 @@ impl Subject {
     ///
     /// # Errors
     /// Those of [`Subject::refuse_unjudgeable`].
-    pub fn behind_rig_of(self, dataset: &StereoDataset, progress: &dyn Progress) -> Result<Self> {
+    pub fn behind_rig_of(
+        self,
+        dataset: &StereoDataset,
+        rig: &TrustedRig,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
         self.refuse_unjudgeable(dataset)?;
-        let rig = dataset.rig();
         let Some(estimator) = self.estimator().filter(|_| dataset.info.stereo) else {
             return Ok(self);
         };
-        if rig == self.rig() {
-            return Ok(self);
-        }
-        for note in RigNote::of_rig(self.rig(), rig, estimator.header().readout) {
-            progress.note(&note.to_string());
+        if let Some(trained) = self.trained_rig().filter(|trained| **trained != rig.rig) {
+            for note in RigNote::of_rig(trained, &rig.rig, estimator.header().readout) {
+                progress.note(&note.to_string());
+            }
         }
         Ok(match self {
-            Self::Both(ranger) => Self::Both(Box::new(ranger.with_rig(*rig))),
+            Self::Both(ranger) => Self::Both(Box::new(ranger.with_trusted_rig(*rig))),
             // An estimator is told the rig with every vehicle.
             alone => alone,
         })
@@ -190,7 +219,7 @@ impl Subject {
         if self.detector().is_none() && !dataset.info.stereo {
             return Err(Error::dataset(
                 &dataset.folder,
-                "has single images (stereo = false), and the run has a distance network alone",
+                "has single images (stereo = false), and without a detector there is nothing to judge in them",
                 "evaluate on a dataset of stereo pairs",
             ));
         }

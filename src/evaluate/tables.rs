@@ -11,6 +11,7 @@ use super::distances::{DifferenceRow, DistanceRow};
 use super::examples::ExampleRow;
 use super::latency::LatencyRow;
 use super::protocol::Protocol;
+use super::reliability::{ReliabilityRow, SpreadRow};
 use super::vehicles::{Boxes, FalseVehicle, VehicleRow};
 use crate::dataset::Split;
 use crate::error::{Error, Result};
@@ -34,6 +35,10 @@ pub struct Tables {
     pub detection_curves: Vec<CurveRow>,
     /// The COCO evaluation.
     pub coco: Vec<CocoRow>,
+    /// What intervals hold, by their probability.
+    pub reliability: Vec<ReliabilityRow>,
+    /// Errors by predicted spread.
+    pub spread: Vec<SpreadRow>,
     /// The confusion matrix.
     pub confusion: Vec<ConfusionRow>,
     /// Time by stage.
@@ -64,7 +69,7 @@ const FIGURES: &str = "evaluation.json";
 /// Where an evaluation is written unless somebody says otherwise: `<run>/evaluation/<dataset>-<split>`
 /// and what is not as usual, such as `quick-val-detect-0.30`: another comparison replaces nothing.
 pub(super) fn default_folder(
-    run: &Path,
+    run: Option<&Path>,
     data: &Path,
     split: Split,
     options: &PredictOptions,
@@ -85,7 +90,11 @@ pub(super) fn default_folder(
             _ => options.confidence.to_string(),
         };
     }
-    run.join(EVALUATIONS).join(folder)
+    if options.ranger != usual.ranger {
+        folder.push('-');
+        folder += options.ranger.word();
+    }
+    run.unwrap_or(Path::new("")).join(EVALUATIONS).join(folder)
 }
 
 /// The evaluations of a run, by name.
@@ -121,6 +130,8 @@ pub(super) fn write(folder: &Path, evaluation: &Evaluation) -> Result<()> {
     write_table(folder, "false_vehicles", &tables.false_vehicles)?;
     write_table(folder, "distance", &tables.distance)?;
     write_table(folder, "differences", &tables.differences)?;
+    write_table(folder, "reliability", &tables.reliability)?;
+    write_table(folder, "spread", &tables.spread)?;
     write_table(folder, "detection", &tables.detection)?;
     write_table(folder, "detection_curves", &tables.detection_curves)?;
     write_table(folder, "coco", &tables.coco)?;
@@ -200,6 +211,8 @@ pub fn read(folder: &Path) -> Result<Evaluation> {
         false_vehicles: read_table(folder, "false_vehicles")?,
         distance: read_table(folder, "distance")?,
         differences: read_table(folder, "differences")?,
+        reliability: read_table(folder, "reliability")?,
+        spread: read_table(folder, "spread")?,
         detection: read_table(folder, "detection")?,
         detection_curves: read_table(folder, "detection_curves")?,
         coco: read_table(folder, "coco")?,
@@ -248,7 +261,12 @@ mod tests {
     fn what_is_not_as_usual_stands_in_the_name_of_the_folder() {
         let usual = PredictOptions::default();
         let name = |options: PredictOptions| {
-            let folder = default_folder(Path::new("r"), Path::new("x/quick"), Split::Val, &options);
+            let folder = default_folder(
+                Some(Path::new("r")),
+                Path::new("x/quick"),
+                Split::Val,
+                &options,
+            );
             assert_eq!(folder.parent(), Some(Path::new("r/evaluation")));
             folder.file_name().unwrap().to_string_lossy().into_owned()
         };

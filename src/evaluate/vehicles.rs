@@ -8,12 +8,15 @@ use serde::{Deserialize, Serialize};
 use crate::dataset::{BoxKind, Frame, StereoDataset, StereoLabel, View, read_objects_csv};
 use crate::generate::view_of_azimuth;
 use crate::geometry::PixelBox;
+use crate::ranging::{Posterior, RangerKind};
 
 /// A way to a distance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
-    /// The distance network.
+    /// The posterior from size, disparity and, where it is trained, the size network: its median.
+    Fused,
+    /// The paper's twin-branch network.
     Network,
     /// Box width, with one fitted constant.
     Size,
@@ -21,28 +24,34 @@ pub enum Method {
     Triangulation,
     /// Sub-pixel disparity of the box's pixels, with one fitted constant.
     Matching,
-    /// Linear fusion of size and matching.
-    Fusion,
 }
 
 impl Method {
-    /// The network, then the baselines.
+    /// The rangers, then the baselines.
     pub const ALL: [Self; 5] = [
+        Self::Fused,
         Self::Network,
         Self::Size,
         Self::Triangulation,
         Self::Matching,
-        Self::Fusion,
     ];
+
+    /// What a ranger is called as a method.
+    pub const fn of_ranger(kind: RangerKind) -> Self {
+        match kind {
+            RangerKind::Fused => Self::Fused,
+            RangerKind::Paper => Self::Network,
+        }
+    }
 
     /// Its name.
     pub const fn name(self) -> &'static str {
         match self {
+            Self::Fused => "fused",
             Self::Network => "network",
             Self::Size => "size",
             Self::Triangulation => "triangulation",
             Self::Matching => "matching",
-            Self::Fusion => "fusion",
         }
     }
 }
@@ -83,11 +92,43 @@ impl fmt::Display for Boxes {
     }
 }
 
-/// One estimate of each method, metres; None where a method has no answer.
+/// One estimate of each method, metres, in the order of [`Method::ALL`]; None where a method has no
+/// answer.
 pub type Estimates = [Option<f64>; 5];
 
+/// What a posterior says of a vehicle beside its median.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spread {
+    /// Standard deviation, metres.
+    pub std_m: f64,
+    /// Bounds of the interval that holds the distance with a probability of 68 %, metres.
+    pub within_68_m: [f64; 2],
+    /// And with 95 %.
+    pub within_95_m: [f64; 2],
+    /// Negative logarithm of the density at the true distance, per metre.
+    pub nll: f64,
+    /// Probability that the vehicle is nearer than it is.
+    pub below: f64,
+}
+
+/// Least density that the likelihood counts: a posterior ends with its grid.
+const LEAST_DENSITY: f64 = 1e-9;
+
+impl Spread {
+    /// Of a posterior, given the true distance.
+    pub fn new(posterior: &Posterior, true_m: f64) -> Self {
+        Self {
+            std_m: posterior.std_m(),
+            within_68_m: posterior.interval_m(0.68),
+            within_95_m: posterior.interval_m(0.95),
+            nll: -libm::log(posterior.density_at(true_m).max(LEAST_DENSITY)),
+            below: posterior.probability_below(true_m),
+        }
+    }
+}
+
 /// A vehicle that is labelled in both images and ignored in neither, a row of `vehicles.csv`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct VehicleRow {
     /// The frame's number.
     #[serde(with = "crate::dataset::stamp")]
@@ -106,6 +147,22 @@ pub struct VehicleRow {
     pub box_px: f64,
     /// The true distance, metres.
     pub distance_m: f64,
+    /// The posterior's median from the labelled boxes, metres.
+    pub fused_m: Option<f64>,
+    /// Its standard deviation, metres.
+    pub fused_std_m: Option<f64>,
+    /// Bound of its 68 % interval, metres.
+    pub fused_low_68_m: Option<f64>,
+    /// Bound of its 68 % interval, metres.
+    pub fused_high_68_m: Option<f64>,
+    /// Bound of its 95 % interval, metres.
+    pub fused_low_m: Option<f64>,
+    /// Bound of its 95 % interval, metres.
+    pub fused_high_m: Option<f64>,
+    /// Negative logarithm of its density at the truth, per metre.
+    pub fused_nll: Option<f64>,
+    /// Its probability that the vehicle is nearer than it is.
+    pub fused_below: Option<f64>,
     /// The network's estimate from the labelled boxes, metres.
     pub network_m: Option<f64>,
     /// As above, from the box size.
@@ -114,8 +171,6 @@ pub struct VehicleRow {
     pub triangulation_m: Option<f64>,
     /// As above, from sub-pixel disparity.
     pub matching_m: Option<f64>,
-    /// As above, from size and disparity.
-    pub fusion_m: Option<f64>,
     /// Whether the pipeline found it.
     pub found: bool,
     /// The detection's score.
@@ -130,7 +185,23 @@ pub struct VehicleRow {
     pub found_x_max: Option<f64>,
     /// Its lower edge.
     pub found_y_max: Option<f64>,
-    /// The pipeline's estimate, metres.
+    /// The posterior's median from the detected boxes, metres.
+    pub pipeline_fused_m: Option<f64>,
+    /// Its standard deviation, metres.
+    pub pipeline_fused_std_m: Option<f64>,
+    /// Bound of its 68 % interval, metres.
+    pub pipeline_fused_low_68_m: Option<f64>,
+    /// Bound of its 68 % interval, metres.
+    pub pipeline_fused_high_68_m: Option<f64>,
+    /// Bound of its 95 % interval, metres.
+    pub pipeline_fused_low_m: Option<f64>,
+    /// Bound of its 95 % interval, metres.
+    pub pipeline_fused_high_m: Option<f64>,
+    /// Negative logarithm of its density at the truth, per metre.
+    pub pipeline_fused_nll: Option<f64>,
+    /// Its probability that the vehicle is nearer than it is.
+    pub pipeline_fused_below: Option<f64>,
+    /// The network's estimate from the detected boxes, metres.
     pub pipeline_network_m: Option<f64>,
     /// From the detected boxes' size.
     pub pipeline_size_m: Option<f64>,
@@ -138,8 +209,6 @@ pub struct VehicleRow {
     pub pipeline_triangulation_m: Option<f64>,
     /// From sub-pixel disparity in the detected box.
     pub pipeline_matching_m: Option<f64>,
-    /// From size and disparity of the detected boxes.
-    pub pipeline_fusion_m: Option<f64>,
 }
 
 impl VehicleRow {
@@ -168,32 +237,80 @@ impl VehicleRow {
             (Boxes::True, Method::Size) => self.size_m,
             (Boxes::True, Method::Triangulation) => self.triangulation_m,
             (Boxes::True, Method::Matching) => self.matching_m,
-            (Boxes::True, Method::Fusion) => self.fusion_m,
+            (Boxes::True, Method::Fused) => self.fused_m,
             (Boxes::Pipeline, Method::Network) => self.pipeline_network_m,
             (Boxes::Pipeline, Method::Size) => self.pipeline_size_m,
             (Boxes::Pipeline, Method::Triangulation) => self.pipeline_triangulation_m,
             (Boxes::Pipeline, Method::Matching) => self.pipeline_matching_m,
-            (Boxes::Pipeline, Method::Fusion) => self.pipeline_fusion_m,
+            (Boxes::Pipeline, Method::Fused) => self.pipeline_fused_m,
+        }
+    }
+
+    /// What the posterior from these boxes says beside its median.
+    pub fn spread(&self, boxes: Boxes) -> Option<Spread> {
+        Some(match boxes {
+            Boxes::True => Spread {
+                std_m: self.fused_std_m?,
+                within_68_m: [self.fused_low_68_m?, self.fused_high_68_m?],
+                within_95_m: [self.fused_low_m?, self.fused_high_m?],
+                nll: self.fused_nll?,
+                below: self.fused_below?,
+            },
+            Boxes::Pipeline => Spread {
+                std_m: self.pipeline_fused_std_m?,
+                within_68_m: [
+                    self.pipeline_fused_low_68_m?,
+                    self.pipeline_fused_high_68_m?,
+                ],
+                within_95_m: [self.pipeline_fused_low_m?, self.pipeline_fused_high_m?],
+                nll: self.pipeline_fused_nll?,
+                below: self.pipeline_fused_below?,
+            },
+        })
+    }
+
+    /// Sets what the posterior from these boxes says beside its median.
+    pub(super) const fn set_spread(&mut self, boxes: Boxes, spread: &Spread) {
+        let ([low_68, high_68], [low, high]) = (spread.within_68_m, spread.within_95_m);
+        match boxes {
+            Boxes::True => {
+                self.fused_std_m = Some(spread.std_m);
+                self.fused_low_68_m = Some(low_68);
+                self.fused_high_68_m = Some(high_68);
+                self.fused_low_m = Some(low);
+                self.fused_high_m = Some(high);
+                self.fused_nll = Some(spread.nll);
+                self.fused_below = Some(spread.below);
+            }
+            Boxes::Pipeline => {
+                self.pipeline_fused_std_m = Some(spread.std_m);
+                self.pipeline_fused_low_68_m = Some(low_68);
+                self.pipeline_fused_high_68_m = Some(high_68);
+                self.pipeline_fused_low_m = Some(low);
+                self.pipeline_fused_high_m = Some(high);
+                self.pipeline_fused_nll = Some(spread.nll);
+                self.pipeline_fused_below = Some(spread.below);
+            }
         }
     }
 
     /// Sets every method's estimate from these boxes.
     pub(crate) const fn set_estimates(&mut self, boxes: Boxes, estimates: Estimates) {
-        let [network, size, triangulation, matching, fusion] = estimates;
+        let [fused, network, size, triangulation, matching] = estimates;
         match boxes {
             Boxes::True => {
                 self.network_m = network;
                 self.size_m = size;
                 self.triangulation_m = triangulation;
                 self.matching_m = matching;
-                self.fusion_m = fusion;
+                self.fused_m = fused;
             }
             Boxes::Pipeline => {
                 self.pipeline_network_m = network;
                 self.pipeline_size_m = size;
                 self.pipeline_triangulation_m = triangulation;
                 self.pipeline_matching_m = matching;
-                self.pipeline_fusion_m = fusion;
+                self.pipeline_fused_m = fused;
             }
         }
     }
@@ -238,23 +355,7 @@ impl<'a> Places<'a> {
             view: frame.row.view.filter(|_| is_of_frame).or(of_object),
             box_px: f64::midpoint(left, right),
             distance_m: label.distance_m,
-            network_m: None,
-            size_m: None,
-            triangulation_m: None,
-            matching_m: None,
-            fusion_m: None,
-            found: false,
-            score: None,
-            overlap: None,
-            found_x_min: None,
-            found_y_min: None,
-            found_x_max: None,
-            found_y_max: None,
-            pipeline_network_m: None,
-            pipeline_size_m: None,
-            pipeline_triangulation_m: None,
-            pipeline_matching_m: None,
-            pipeline_fusion_m: None,
+            ..VehicleRow::default()
         }
     }
 }

@@ -46,6 +46,11 @@ pub(super) fn weights(run: &Path) -> Result<[PathBuf; 2]> {
     ))
 }
 
+/// The weights of a run's size network, where it has one.
+pub(crate) fn size_weights(run: &Path) -> Option<PathBuf> {
+    Some(StageFolder::new(run, "size").best()).filter(|path| path.exists())
+}
+
 /// The runs that there are, or how to make one.
 fn remedy(run: &Path) -> String {
     let parent = match run.parent() {

@@ -19,6 +19,14 @@ pub(super) struct Sides {
 }
 
 impl Sides {
+    /// Vehicles of the left image, before anything is known of the right one.
+    pub fn of_left(detections: Vec<Detection>) -> Self {
+        Self {
+            pairs: detections.into_iter().map(Pair::of_left).collect(),
+            alone: [Vec::new(), Vec::new()],
+        }
+    }
+
     /// Given what the detector found in the images that it ran on, left first.
     pub fn new(
         images: [&RgbImage; 2],
@@ -39,7 +47,7 @@ impl Sides {
                     score: f32::midpoint(left[l].score, right[r].score),
                     detected_in: DetectedIn::Both,
                     disparity_px: None,
-                    surface_distance_m: None,
+                    ranged: None,
                 };
                 let only = |of: &[Detection], which: &[usize]| -> Vec<Detection> {
                     which.iter().map(|&i| of[i]).collect()
@@ -67,7 +75,7 @@ impl Sides {
         let found_right = searched.partners.iter().map(|partner| {
             let left = left_only[partner.left];
             let boxes = [left, at(partner.box_pixel, left)];
-            Pair::searched(boxes, DetectedIn::Left, partner.disparity_px, rig)
+            Pair::searched(boxes, DetectedIn::Left, partner.disparity_px)
         });
         add_new(&mut pairs, found_right.collect());
         let left_alone = searched.left_only.iter().map(|&i| left_only[i]).collect();
@@ -87,7 +95,7 @@ impl Sides {
             let found_left = searched.partners.iter().map(|partner| {
                 let right = right_only[partner.left];
                 let boxes = [at(partner.box_pixel, right), right];
-                Pair::searched(boxes, DetectedIn::Right, partner.disparity_px, rig)
+                Pair::searched(boxes, DetectedIn::Right, partner.disparity_px)
             });
             add_new(&mut pairs, found_left.collect());
             right_alone = searched.left_only.iter().map(|&i| right_only[i]).collect();

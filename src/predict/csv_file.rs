@@ -9,15 +9,23 @@ use crate::error::{Error, Result};
 use crate::files::GrowingFile;
 use crate::geometry::PixelBox;
 use crate::pipeline::DetectedIn;
+use crate::ranging::VehicleDoubt;
 
 /// The columns.
-const HEADER: [&str; 17] = [
+const HEADER: [&str; 23] = [
     "frame",
     "time_s",
     "vehicle",
     "class",
     "score",
     "distance_m",
+    "distance_std_m",
+    "distance_low_m",
+    "distance_high_m",
+    "size_m",
+    "stereo_m",
+    "network_m",
+    "doubt",
     "detected_in",
     "left_x_min",
     "left_y_min",
@@ -28,7 +36,6 @@ const HEADER: [&str; 17] = [
     "right_x_max",
     "right_y_max",
     "disparity_px",
-    "surface_distance_m",
 ];
 
 /// A CSV file that is being written. Frames without vehicles, and failed ones, have no row.
@@ -64,10 +71,11 @@ impl CsvFile {
         let mut number = 0;
         let mut write = |class: &str,
                          score: f32,
-                         distance_m: Option<f64>,
+                         distances: [Option<f64>; 7],
+                         doubt: Option<VehicleDoubt>,
                          detected_in: DetectedIn,
                          boxes: [Option<&PixelBox>; 2],
-                         surface: [Option<f64>; 2]| {
+                         disparity_px: Option<f64>| {
             number += 1;
             let shown = |value: Option<f64>| value.map_or_else(String::new, |v| v.to_string());
             let mut row = vec![
@@ -76,14 +84,15 @@ impl CsvFile {
                 number.to_string(),
                 class.to_owned(),
                 score.to_string(),
-                shown(distance_m),
-                detected_in.word().to_owned(),
             ];
+            row.extend(distances.map(shown));
+            row.push(doubt.map_or_else(String::new, |doubt| doubt.word().to_owned()));
+            row.push(detected_in.word().to_owned());
             for b in boxes {
                 let edges = b.map(|b| [b.x_min, b.y_min, b.x_max, b.y_max]);
                 row.extend((0..4).map(|i| shown(edges.map(|edges| edges[i]))));
             }
-            row.extend(surface.map(shown));
+            row.push(shown(disparity_px));
             writer.write_record(row)
         };
         let written = match &record.outcome {
@@ -93,9 +102,25 @@ impl CsvFile {
             } => {
                 let with = vehicles.iter().try_for_each(|v| {
                     let boxes = [Some(&v.left), Some(&v.right)];
-                    let surface = [v.disparity_px, v.surface_distance_m];
-                    let distance_m = Some(v.distance_m);
-                    write(&v.class, v.score, distance_m, v.detected_in, boxes, surface)
+                    let distances = [
+                        Some(v.distance_m),
+                        v.distance_std_m,
+                        v.distance_low_m,
+                        v.distance_high_m,
+                        v.size_m,
+                        v.stereo_m,
+                        v.network_m,
+                    ];
+                    let (seen, disparity_px) = (v.detected_in, v.disparity_px);
+                    write(
+                        &v.class,
+                        v.score,
+                        distances,
+                        v.doubt,
+                        seen,
+                        boxes,
+                        disparity_px,
+                    )
                 });
                 let without = without_distance.iter().try_for_each(|v| {
                     let is_left = v.detected_in == DetectedIn::Left;
@@ -103,7 +128,15 @@ impl CsvFile {
                         is_left.then_some(&v.box_pixel),
                         (!is_left).then_some(&v.box_pixel),
                     ];
-                    write(&v.class, v.score, None, v.detected_in, boxes, [None; 2])
+                    write(
+                        &v.class,
+                        v.score,
+                        [None; 7],
+                        None,
+                        v.detected_in,
+                        boxes,
+                        None,
+                    )
                 });
                 with.and(without)
             }

@@ -1,9 +1,9 @@
 //! What is worth saying of the frames of a prediction, each thing once.
 
 use super::FrameRecord;
-use crate::pipeline::{PairNote, StereoRanger};
+use crate::pipeline::StereoRanger;
 use crate::progress::Progress;
-use crate::ranging::RigNote;
+use crate::ranging::{PairDoubt, RigNote};
 
 /// Frames that must look exchanged before it is said while others are still to come: a single one
 /// may do so by chance.
@@ -18,7 +18,7 @@ pub(super) struct Notes {
     with_vehicles: u64,
     /// Of these, those whose images look exchanged, and the first one.
     exchanged: u64,
-    first_exchanged: Option<(String, PairNote)>,
+    first_exchanged: Option<(String, PairDoubt)>,
     is_identical_told: bool,
     is_exchanged_told: bool,
 }
@@ -39,16 +39,21 @@ impl Notes {
     }
 
     /// Looks at what was found in a frame, and what is strange about its images.
-    pub fn frame(&mut self, record: &FrameRecord, note: Option<PairNote>, progress: &dyn Progress) {
+    pub fn frame(
+        &mut self,
+        record: &FrameRecord,
+        note: Option<PairDoubt>,
+        progress: &dyn Progress,
+    ) {
         let (frame, outcome) = (&record.frame, &record.outcome);
         let has_none = outcome.vehicles().is_empty() && outcome.without_distance().is_empty();
         self.with_vehicles += u64::from(!has_none || note.is_some());
         match note {
-            Some(note @ PairNote::Identical) if !self.is_identical_told => {
+            Some(note @ PairDoubt::Identical) if !self.is_identical_told => {
                 self.is_identical_told = true;
                 progress.note(&format!("note: frame {frame}: {note}"));
             }
-            Some(note @ PairNote::Exchanged { .. }) => {
+            Some(note @ PairDoubt::Exchanged { .. }) => {
                 self.exchanged += 1;
                 self.first_exchanged
                     .get_or_insert_with(|| (frame.clone(), note));
@@ -103,15 +108,15 @@ mod tests {
         let heard = Heard::default();
         let mut notes = Notes::default();
         for (number, frame) in frames.chars().enumerate() {
-            let exchanged = PairNote::Exchanged {
-                detected: 2,
+            let exchanged = PairDoubt::Exchanged {
+                vehicles: 2,
                 found: 0,
                 exchanged: 2,
             };
             let (vehicles, note) = match frame {
                 'g' => (vec![vehicle(DetectedIn::Both)], None),
                 'x' => (vec![], Some(exchanged)),
-                'i' => (vec![], Some(PairNote::Identical)),
+                'i' => (vec![], Some(PairDoubt::Identical)),
                 _ => (vec![], None),
             };
             let record = FrameRecord {

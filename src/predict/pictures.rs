@@ -9,7 +9,7 @@ use crate::annotate::{Annotation, annotate_pair};
 use crate::error::{Error, Result};
 use crate::files;
 use crate::imaging::save_png;
-use crate::pipeline::DetectedIn;
+use crate::pipeline::{DetectedIn, Vehicle};
 use crate::sources::{VideoEncoding, VideoWriter};
 
 /// Both images with every vehicle's boxes, distance and score.
@@ -17,7 +17,7 @@ pub fn picture([left, right]: [&RgbImage; 2], outcome: &Outcome) -> RgbImage {
     let measured = outcome.vehicles().iter().map(|vehicle| Annotation {
         left: Some(vehicle.left),
         right: Some(vehicle.right),
-        text: format!("{:.1} m {:.2}", vehicle.distance_m, vehicle.score),
+        text: text(vehicle),
     });
     let unmeasured = outcome.without_distance().iter().map(|vehicle| {
         let is_left = vehicle.detected_in == DetectedIn::Left;
@@ -100,4 +100,17 @@ impl Sink for AnnotatedVideo {
     fn finish(self: Box<Self>) -> Result<()> {
         self.video.finish().map(|_| ())
     }
+}
+
+/// Distance with its standard deviation and the detection's score; a question mark where the distance
+/// may be another.
+fn text(vehicle: &Vehicle) -> String {
+    let spread = vehicle
+        .distance_std_m
+        .map_or_else(String::new, |std_m| format!("+-{std_m:.1}"));
+    let doubt = if vehicle.doubt.is_some() { "?" } else { "" };
+    format!(
+        "{:.1}{spread} m{doubt} {:.2}",
+        vehicle.distance_m, vehicle.score
+    )
 }

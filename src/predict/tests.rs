@@ -12,15 +12,19 @@ pub(super) fn record(outcome: Outcome) -> FrameRecord {
 }
 
 pub(super) fn vehicle(detected_in: DetectedIn) -> Vehicle {
+    let boxes = [
+        PixelBox::new(1.0, 2.0, 3.5, 4.0),
+        PixelBox::new(0.0, 2.0, 2.5, 4.0),
+    ];
     Vehicle {
-        left: PixelBox::new(1.0, 2.0, 3.5, 4.0),
-        right: PixelBox::new(0.0, 2.0, 2.5, 4.0),
-        score: 0.5,
-        class: "car, \"red\"".to_owned(),
-        distance_m: 12.25,
         detected_in,
         disparity_px: (detected_in != DetectedIn::Both).then_some(1.5),
-        surface_distance_m: (detected_in != DetectedIn::Both).then_some(11.75),
+        distance_std_m: Some(0.5),
+        distance_low_m: Some(11.25),
+        distance_high_m: Some(13.5),
+        size_m: Some(12.5),
+        stereo_m: Some(12.0),
+        ..Vehicle::bare(boxes[0], boxes[1], "car, \"red\"", 12.25)
     }
 }
 
@@ -64,8 +68,9 @@ fn a_line_of_json_says_what_was_found_or_why_nothing_could_be() {
         .unwrap();
     for part in [
         r#""left":{"x_min":1.0,"y_min":2.0,"x_max":3.5,"y_max":4.0}"#,
-        r#""distance_m":12.25,"detected_in":"both""#,
-        r#""disparity_px":null,"surface_distance_m":null"#,
+        r#""distance_m":12.25,"distance_std_m":0.5,"distance_low_m":11.25,"distance_high_m":13.5"#,
+        r#""size_m":12.5,"stereo_m":12.0,"network_m":null,"doubt":null,"detected_in":"both""#,
+        r#""disparity_px":null}"#,
         r#""without_distance":[{"detected_in":"right","box":{"x_min":5.0"#,
     ] {
         assert!(line.contains(part), "{part} in {line}");
@@ -74,7 +79,7 @@ fn a_line_of_json_says_what_was_found_or_why_nothing_could_be() {
     let searched = record(measured(vec![vehicle(DetectedIn::Left)], vec![]));
     let line = searched.to_line().unwrap();
     assert!(
-        line.contains(r#""disparity_px":1.5,"surface_distance_m":11.75"#),
+        line.contains(r#""detected_in":"left","disparity_px":1.5}"#),
         "{line}"
     );
 }
@@ -83,7 +88,7 @@ fn a_line_of_json_says_what_was_found_or_why_nothing_could_be() {
 fn lines_of_programs_that_did_not_tell_the_disparity_are_read() {
     let record = record(measured(vec![vehicle(DetectedIn::Both)], vec![]));
     let line = record.to_line().unwrap();
-    let without = line.replace(r#","disparity_px":null,"surface_distance_m":null"#, "");
+    let without = line.replace(r#","disparity_px":null"#, "");
     assert!(without.len() < line.len());
     assert_eq!(
         serde_json::from_str::<FrameRecord>(&without).unwrap(),

@@ -1,5 +1,6 @@
 //! The twin-branch network that turns a composite and a box size into metres.
 
+mod fused;
 mod inference;
 mod inputs;
 mod loss;
@@ -13,6 +14,7 @@ pub mod size;
 mod surface;
 mod witness;
 
+pub use fused::{FusedRanger, NamedBox, RangerKind};
 pub use inference::{DistanceEstimator, RangingHeader, Sighting};
 pub use inputs::{Crops, Reading, VehicleSizes};
 pub use loss::{RangingLoss, ranging_loss};
@@ -20,7 +22,9 @@ pub use merge::compose_convolutions;
 pub use network::{BLOCK_CHANNELS, RangingConfig, RangingFeatures, RangingNetwork};
 pub use other_rig::{RigNote, sizes_as_trained};
 pub use posterior::{Mode, Posterior};
-pub use ranger::{Body, PairDoubt, Ranged, Ranger, RangerSettings, Target, TrustedRig};
+pub use ranger::{
+    Body, PairDoubt, Ranged, Ranger, RangerSettings, Target, TrustedRig, VehicleDoubt,
+};
 pub use readout::Readout;
 pub use surface::surface_m;
 pub use witness::SizeWitness;

@@ -107,6 +107,19 @@ impl Posterior {
         self.distance_m[i] + way.clamp(0.0, width)
     }
 
+    /// The probability that the vehicle is nearer than this, the inverse of [`Posterior::quantile`].
+    pub fn probability_below(&self, distance_m: f64) -> f64 {
+        if distance_m <= self.distance_m[0] {
+            return 0.0;
+        }
+        if distance_m >= self.distance_m[self.distance_m.len() - 1] {
+            return 1.0;
+        }
+        let i = self.cell(&self.distance_m, distance_m);
+        let way = distance_m - self.distance_m[i];
+        self.cumulative[i] + way * f64::midpoint(self.density[i], self.density_at(distance_m))
+    }
+
     /// The middle: as probably nearer as farther, metres.
     pub fn median_m(&self) -> f64 {
         self.quantile(0.5)
@@ -233,6 +246,9 @@ mod tests {
             .map(|i| p.quantile(f64::from(i) / 1000.0))
             .collect();
         assert!(quantiles.windows(2).all(|q| q[0] <= q[1]));
+        for (i, quantile) in quantiles.iter().enumerate() {
+            assert!((p.probability_below(*quantile) - i as f64 / 1000.0).abs() < 1e-9);
+        }
         assert_eq!(quantiles[0], 3.0);
         assert!((quantiles[1000] - p.distances_m()[599]).abs() < 1e-9);
     }

@@ -87,17 +87,17 @@ fn detectors(runs: &[Run]) -> Table {
     table
 }
 
-/// The network over all vehicles.
-fn network(of: &Evaluated, boxes: Boxes) -> Option<&DistanceRow> {
+/// The ranger in use over all vehicles.
+fn ranger(of: &Evaluated, boxes: Boxes) -> Option<&DistanceRow> {
     let rows = &of.evaluation.tables.distance;
     rows.iter().find(|row| {
-        (row.grouping, row.boxes, row.method) == (Grouping::All, boxes, Method::Network)
+        (row.grouping, row.boxes, row.method) == (Grouping::All, boxes, of.evaluation.method())
     })
 }
 
 fn distances(runs: &[Run]) -> Table {
     let mut table = Table::new(
-        "Distance network and whole pipeline",
+        "Ranger on true boxes and whole pipeline",
         &[
             "run",
             "evaluation",
@@ -116,7 +116,7 @@ fn distances(runs: &[Run]) -> Table {
     table.words = 3;
     for (run, of) in evaluations(runs) {
         for boxes in Boxes::ALL {
-            let Some(row) = network(of, boxes) else {
+            let Some(row) = ranger(of, boxes) else {
                 continue;
             };
             let is_pipeline = boxes == Boxes::Pipeline;
@@ -157,7 +157,7 @@ fn best_baseline(of: &Evaluated, boxes: Boxes) -> String {
         let is_label = row.boxes == Boxes::True && row.method == Method::Triangulation;
         row.grouping == Grouping::All
             && row.boxes == boxes
-            && row.method != Method::Network
+            && ![Method::Fused, Method::Network].contains(&row.method)
             && !is_label
     });
     let best = rows
@@ -176,7 +176,7 @@ fn chart(name: &str, same: &[(&Run, &Evaluated)]) -> Result<Chart> {
     let mut top: f64 = 1.0;
     for (place, boxes) in Boxes::ALL.into_iter().enumerate() {
         let rows: Vec<Option<&DistanceRow>> =
-            same.iter().map(|(_, of)| network(of, boxes)).collect();
+            same.iter().map(|(_, of)| ranger(of, boxes)).collect();
         let values: Vec<Option<f64>> = rows.iter().map(|row| (*row)?.mre_percent).collect();
         let bounds: Vec<[f64; 3]> = rows
             .iter()
@@ -252,7 +252,8 @@ fn differences(name: &str, same: &[(&Run, &Evaluated)]) -> Table {
             })
             .collect();
         for boxes in Boxes::ALL {
-            let Some(difference) = paired_difference(&pairs, boxes) else {
+            let methods = [first, of].map(|of| of.evaluation.method());
+            let Some(difference) = paired_difference(&pairs, boxes, methods) else {
                 continue;
             };
             table.rows.push(vec![

@@ -27,7 +27,11 @@ pub(super) fn add(section: &mut Section, of: &Evaluated) -> Result<()> {
     if of.evaluation.pipeline.is_some() {
         scatters.push(scatter(of, Boxes::Pipeline)?);
     }
+    scatters.extend(reliability(of)?);
     section.charts(scatters);
+    if !of.evaluation.tables.spread.is_empty() {
+        section.table(by_spread(of));
+    }
     let mut charts = Vec::new();
     for grouping in Grouping::ALL {
         if grouping != Grouping::All {
@@ -42,7 +46,6 @@ pub(super) fn add(section: &mut Section, of: &Evaluated) -> Result<()> {
         }
     }
     if let Some(baselines) = &of.evaluation.baselines {
-        let [constant, of_size, of_matching] = baselines.fusion;
         let mut table = Table::new(
             "Constants of the baselines",
             &["baseline", "constants"],
@@ -68,10 +71,6 @@ pub(super) fn add(section: &mut Section, of: &Evaluated) -> Result<()> {
             vec![
                 "matching".to_owned(),
                 format!("surface to centre: {:+.3} m", baselines.surface_to_center_m),
-            ],
-            vec![
-                "fusion".to_owned(),
-                format!("{constant:+.3} m {of_size:+.3} size {of_matching:+.3} matching"),
             ],
         ];
         section.table(table);
@@ -148,18 +147,18 @@ fn methods(of: &Evaluated, boxes: Boxes) -> Table {
 
 fn differences(of: &Evaluated) -> Table {
     let mut table = Table::new(
-        "The network against arithmetic",
+        "The ranger in use against other methods",
         &[
-            "baseline",
+            "method",
             "boxes",
             "vehicles",
-            "network MAE m",
-            "baseline MAE m",
+            "ranger MAE m",
+            "its MAE m",
             "difference m",
         ],
         of.file("differences.csv"),
     );
-    "On the vehicles that both have an answer for. Below 0 the network is better; where the bounds \
+    "On the vehicles that both have an answer for. Below 0 the ranger is better; where the bounds \
      hold 0, that may be chance."
         .clone_into(&mut table.note);
     table.words = 2;
@@ -168,7 +167,7 @@ fn differences(of: &Evaluated) -> Table {
             row.method.name().to_owned(),
             row.boxes.name().to_owned(),
             row.vehicles.to_string(),
-            format!("{:.2}", row.network_mae_m),
+            format!("{:.2}", row.ranger_mae_m),
             format!("{:.2}", row.method_mae_m),
             bounded(Some(row.difference_m), [row.low_m, row.high_m], 2),
         ]);
@@ -178,7 +177,11 @@ fn differences(of: &Evaluated) -> Table {
 
 fn groups(of: &Evaluated, grouping: Grouping) -> Table {
     let mut table = Table::new(
-        &format!("Network by {}", grouping.name()),
+        &format!(
+            "{} by {}",
+            capital(of.evaluation.method().name()),
+            grouping.name()
+        ),
         &[
             grouping.name(),
             "vehicles",
@@ -197,11 +200,11 @@ fn groups(of: &Evaluated, grouping: Grouping) -> Table {
     );
     table.folded = true;
     let tables = &of.evaluation.tables;
-    let of_network =
-        |boxes| rows(tables, grouping, boxes).filter(|row| row.method == Method::Network);
+    let method = of.evaluation.method();
+    let of_ranger = |boxes| rows(tables, grouping, boxes).filter(|row| row.method == method);
     // A run without a detector has no such rows.
-    let mut of_pipeline = of_network(Boxes::Pipeline);
-    for row in of_network(Boxes::True) {
+    let mut of_pipeline = of_ranger(Boxes::Pipeline);
+    for row in of_ranger(Boxes::True) {
         let pipeline = of_pipeline.next();
         let count = |value: Option<usize>| value.map_or_else(|| "-".to_owned(), |n| n.to_string());
         table.rows.push(vec![
@@ -234,7 +237,7 @@ fn scatter(of: &Evaluated, boxes: Boxes) -> Result<Chart> {
     let dots: Vec<[f64; 2]> = vehicles
         .iter()
         .filter_map(|v| {
-            let estimate = v.estimate(boxes, Method::Network)?;
+            let estimate = v.estimate(boxes, of.evaluation.method())?;
             Some([v.distance_m, estimate.clamp(0.0, reach)])
         })
         .collect();
@@ -252,10 +255,86 @@ fn scatter(of: &Evaluated, boxes: Boxes) -> Result<Chart> {
         square: true,
     };
     let title = format!(
-        "Network, {}: estimated over true distance, lines at ±10 %",
+        "{}, {}: estimated over true distance, lines at ±10 %",
+        capital(of.evaluation.method().name()),
         boxes.name()
     );
     Chart::new(title, &figure, &[], of.file("vehicles.csv"))
+}
+
+/// A word that begins a title.
+fn capital(word: &str) -> String {
+    let mut letters = word.chars();
+    let first = letters.next().map(|first| first.to_ascii_uppercase());
+    first.into_iter().chain(letters).collect()
+}
+
+/// What intervals hold over their probability.
+fn reliability(of: &Evaluated) -> Result<Option<Chart>> {
+    let rows = &of.evaluation.tables.reliability;
+    if rows.is_empty() {
+        return Ok(None);
+    }
+    let mut shapes = vec![(color(0), Shape::Guide(vec![[0.0, 0.0], [100.0, 100.0]]))];
+    let mut legend = Vec::new();
+    for boxes in Boxes::ALL {
+        let line: Vec<[f64; 2]> = rows
+            .iter()
+            .filter(|row| row.boxes == boxes)
+            .map(|row| [row.probability_percent, row.held_percent])
+            .collect();
+        if line.is_empty() {
+            continue;
+        }
+        shapes.push((color(boxes as usize), Shape::Dots(line.clone())));
+        shapes.push((color(boxes as usize), Shape::Line(line)));
+        legend.push((color(boxes as usize), boxes.name().to_owned()));
+    }
+    let figure = Figure {
+        x: Axis::new("probability of the interval, percent", [0.0, 100.0]),
+        y: Axis::new("intervals that hold the distance, percent", [0.0, 100.0]),
+        shapes,
+        square: true,
+    };
+    let title = "Reliability of the posterior: below the line intervals are too narrow";
+    Chart::new(
+        title.to_owned(),
+        &figure,
+        &legend,
+        of.file("reliability.csv"),
+    )
+    .map(Some)
+}
+
+/// Errors beside the spread that was predicted.
+fn by_spread(of: &Evaluated) -> Table {
+    let mut table = Table::new(
+        "Error by predicted spread",
+        &[
+            "predicted spread",
+            "boxes",
+            "vehicles",
+            "predicted %",
+            "RMSE %",
+            "MRE %",
+            "95 % interval holds %",
+        ],
+        of.file("spread.csv"),
+    );
+    table.words = 2;
+    table.folded = true;
+    for row in &of.evaluation.tables.spread {
+        table.rows.push(vec![
+            row.group.clone(),
+            row.boxes.name().to_owned(),
+            row.vehicles.to_string(),
+            format!("{:.1}", row.predicted_percent),
+            format!("{:.1}", row.rmse_percent),
+            format!("{:.1}", row.mre_percent),
+            format!("{:.0}", row.coverage_95),
+        ]);
+    }
+    table
 }
 
 /// The unit goes to the axis.
@@ -270,7 +349,7 @@ fn by_group(of: &Evaluated, grouping: Grouping) -> Result<Option<Chart>> {
         .iter()
         .map(|&boxes| {
             let rows = rows(&of.evaluation.tables, grouping, boxes)
-                .filter(|row| row.method == Method::Network && row.vehicles > 0);
+                .filter(|row| row.method == of.evaluation.method() && row.vehicles > 0);
             (
                 color(boxes as usize),
                 boxes.name().to_owned(),
@@ -286,7 +365,7 @@ fn by_group(of: &Evaluated, grouping: Grouping) -> Result<Option<Chart>> {
     };
     bars(
         of,
-        &format!("MRE of the network by {}", grouping.name()),
+        &format!("MRE of {} by {}", of.evaluation.method(), grouping.name()),
         unit,
         &series,
     )

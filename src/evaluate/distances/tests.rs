@@ -23,7 +23,6 @@ fn vehicle(frame: u64, distance_m: f64, found: bool) -> VehicleRow {
         size_m: Some(distance_m * 0.7),
         triangulation_m: None,
         matching_m: None,
-        fusion_m: None,
         found,
         score: found.then_some(0.9),
         overlap: None,
@@ -35,7 +34,7 @@ fn vehicle(frame: u64, distance_m: f64, found: bool) -> VehicleRow {
         pipeline_size_m: None,
         pipeline_triangulation_m: None,
         pipeline_matching_m: None,
-        pipeline_fusion_m: None,
+        ..VehicleRow::default()
     }
 }
 

@@ -36,7 +36,6 @@ impl Capture {
             size_m: None,
             triangulation_m: None,
             matching_m: None,
-            fusion_m: None,
             found,
             score: None,
             overlap: None,
@@ -48,7 +47,7 @@ impl Capture {
             pipeline_size_m: None,
             pipeline_triangulation_m: None,
             pipeline_matching_m: None,
-            pipeline_fusion_m: None,
+            ..VehicleRow::default()
         });
     }
 

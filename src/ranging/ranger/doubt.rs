@@ -43,7 +43,7 @@ impl PairDoubt {
     /// where under half of them were found.
     pub(super) fn of(
         images: [&RgbImage; 2],
-        boxes: &[&PixelBox],
+        boxes: &[PixelBox],
         nearer: &[Vec<PixelBox>],
         stereo: &[Option<StereoEvidence>],
         rig: &StereoRig,

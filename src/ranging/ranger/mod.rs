@@ -13,6 +13,7 @@ mod stereo;
 
 use image::RgbImage;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 pub use body::Body;
 use body::{SeenBox, Stance, with_unexplained};
@@ -20,6 +21,7 @@ pub use doubt::PairDoubt;
 use stereo::{StereoEvidence, stereo_evidence};
 
 use super::{Posterior, SizeWitness};
+use crate::dataset::{BoxKind, DatasetInfo};
 use crate::geometry::{DisparityCorrection, PixelBox, StereoRig};
 
 /// Relative spread of the boxes of a strange pair: its vehicles may be anything.
@@ -105,12 +107,49 @@ impl Default for RangerSettings {
 /// A vehicle that is to be ranged.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Target {
-    /// Its box in the left image, pixels: tight around what is seen of it.
+    /// Its box in the left image, pixels.
     pub box_pixel: PixelBox,
+    /// The kind of the box: tight around the vehicle, or the paper's square around its sphere.
+    pub kind: BoxKind,
     /// Its class name, where one is known.
     pub class: Option<String>,
     /// What a trained network says of its size.
     pub witness: Option<SizeWitness>,
+}
+
+/// Any vehicle in a square around its sphere, whose side says little.
+const SPHERE: SizeWitness = SizeWitness {
+    log_size_mean: 1.28,
+    log_size_std: 0.3,
+    extent_mean_m: 0.7,
+    extent_std_m: 0.4,
+    unknown: 0.0,
+};
+
+/// Parts of the width and the height of the square around a sphere that a vehicle in it fills.
+const SPHERE_FILLED: [f64; 2] = [0.8, 0.6];
+
+impl Target {
+    /// What is known of its size by something else than its tight box.
+    fn size_witness(&self) -> Option<SizeWitness> {
+        self.witness.or(match self.kind {
+            BoxKind::Sphere => Some(SPHERE),
+            BoxKind::Tight => None,
+        })
+    }
+
+    /// Where its pixels are.
+    fn filled(&self) -> PixelBox {
+        let area = &self.box_pixel;
+        match self.kind {
+            BoxKind::Tight => *area,
+            BoxKind::Sphere => PixelBox::from_center(
+                area.center(),
+                SPHERE_FILLED[0] * area.width(),
+                SPHERE_FILLED[1] * area.height(),
+            ),
+        }
+    }
 }
 
 /// What is known of the distance of a vehicle.
@@ -127,6 +166,28 @@ pub struct Ranged {
     pub disparity_px: f64,
     /// Share of the windows that agree on the most likely disparity, 0 to 1.
     pub support: f64,
+    /// Why the distance may be another.
+    pub doubt: Option<VehicleDoubt>,
+}
+
+/// Why the distance of a vehicle may be another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum VehicleDoubt {
+    /// The posterior has two separate modes.
+    TwoDistances,
+    /// The matched disparity contradicts the size.
+    WitnessesDisagree,
+}
+
+impl VehicleDoubt {
+    /// The word that files have for it.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::TwoDistances => "two_distances",
+            Self::WitnessesDisagree => "witnesses_disagree",
+        }
+    }
 }
 
 /// Ranges vehicles without any training, see the [module](self).
@@ -166,6 +227,16 @@ impl TrustedRig {
             rig,
             correction: None,
             disparity_std_px: 0.0,
+        }
+    }
+
+    /// The rig of a dataset: exact where it was rendered, unchecked otherwise.
+    pub fn of_dataset(info: &DatasetInfo) -> Self {
+        let program = info.made_by.get("program").and_then(toml::Value::as_str);
+        if program == Some("twinsight generate") {
+            Self::exact(info.rig)
+        } else {
+            Self::unchecked(info.rig)
         }
     }
 
@@ -356,9 +427,9 @@ impl Ranger {
         let stereo: Vec<Option<StereoEvidence>> = targets
             .par_iter()
             .zip(&nearer)
-            .map(|(target, nearer)| stereo_evidence(images, &target.box_pixel, nearer, &rig.rig))
+            .map(|(target, nearer)| stereo_evidence(images, &target.filled(), nearer, &rig.rig))
             .collect();
-        let boxes: Vec<&PixelBox> = targets.iter().map(|target| &target.box_pixel).collect();
+        let boxes: Vec<PixelBox> = targets.iter().map(Target::filled).collect();
         let doubt = PairDoubt::of(images, &boxes, &nearer, &stereo, &rig.rig);
         let witnessed: Vec<Witnessed> = targets
             .par_iter()
@@ -396,6 +467,7 @@ impl Ranger {
         ranged.posterior
     }
 
+    /// What is known of a target before vehicles are compared.
     fn witnessed<'a>(
         &self,
         target: &'a Target,
@@ -418,7 +490,7 @@ impl Ranger {
                 .class
                 .as_deref()
                 .map_or_else(|| Body::TRAFFIC.to_vec(), Body::of_class),
-            witness: target.witness.map(|witness| SizeWitness {
+            witness: target.size_witness().map(|witness| SizeWitness {
                 log_size_std: libm::hypot(witness.log_size_std, widened),
                 ..witness
             }),
@@ -522,7 +594,17 @@ impl Ranger {
             let z_m = rig.depth_m(best_px);
             (best_px > 0.0 && z_m.is_finite()).then(|| ray.distance_m(z_m + extent[i]))
         });
+        let [least_m, most_m] = size.interval_m(0.99);
+        let is_other = |stereo_m: f64| !(least_m..=most_m).contains(&stereo_m);
+        let doubt = if posterior.modes().len() > 1 {
+            Some(VehicleDoubt::TwoDistances)
+        } else if stereo_m.is_some_and(is_other) {
+            Some(VehicleDoubt::WitnessesDisagree)
+        } else {
+            None
+        };
         Ranged {
+            doubt,
             size_m: size.median_m(),
             posterior,
             stereo_m,
@@ -576,11 +658,11 @@ fn pixels(stereo: Option<&StereoEvidence>, rig: &StereoRig, z_m: f64, extent_m: 
 
 /// Boxes of vehicles that are before a target and overlap it: those that reach lower.
 fn nearer(target: &Target, targets: &[Target]) -> Vec<PixelBox> {
-    let own = &target.box_pixel;
+    let own = target.filled();
     let least = own.y_max + 0.02 * own.height() + 1.0;
     targets
         .iter()
-        .map(|other| other.box_pixel)
+        .map(Target::filled)
         .filter(|other| other.y_max > least && own.intersection(other).is_valid())
         .collect()
 }

@@ -16,7 +16,7 @@ use crate::evaluate::match_vehicles;
 use crate::files;
 use crate::geometry::{PixelBox, StereoRig};
 use crate::pairing::search::search;
-use crate::pipeline::{DetectedIn, PredictOptions, Vehicle};
+use crate::pipeline::{PredictOptions, Vehicle};
 use crate::progress::{Progress, in_parallel};
 use crate::train::StageFolder;
 
@@ -158,14 +158,13 @@ fn find_in_frame(
         .partners
         .iter()
         .map(|partner| Vehicle {
-            left: left[partner.left].box_pixel,
-            right: partner.box_pixel,
             score: left[partner.left].score,
-            class: String::new(),
-            distance_m: f64::NAN,
-            detected_in: DetectedIn::Left,
-            disparity_px: Some(partner.disparity_px),
-            surface_distance_m: None,
+            ..Vehicle::bare(
+                left[partner.left].box_pixel,
+                partner.box_pixel,
+                "",
+                f64::NAN,
+            )
         })
         .collect();
     let labels = frame.vehicles(kind);
