@@ -421,7 +421,7 @@ fn a_pair_that_cannot_be_used_is_refused_by_name() {
         ),
         (
             "left.png text.png",
-            &["text.png", "neither a PNG nor a JPEG"],
+            &["text.png", "not a PNG, JPEG, BMP, WebP or TIFF"],
         ),
         ("nothing.png right.png", &["nothing.png", "empty"]),
         ("left.png nowhere.png", &["nowhere.png", "check the path"]),

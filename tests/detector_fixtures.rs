@@ -232,6 +232,23 @@ fn folded_scale(name: &str) -> Scale {
 }
 
 #[test]
+fn weights_whose_names_have_a_prefix_are_the_same_detector() {
+    let device = devices::flex();
+    let state = StateDict::of(&Yolo11Config::new(Scale::N, 2).init(&device), tensor_name);
+    for prefix in ["model.", "module.", "ema.", "module.model."] {
+        let mut renamed = state.clone();
+        let tensors = std::mem::take(&mut renamed.tensors).into_iter();
+        renamed.tensors = tensors
+            .map(|(name, tensor)| (format!("{prefix}{name}"), tensor))
+            .collect();
+        let (loaded, report) = load_detector(&renamed, Scale::N, 2, &device).unwrap();
+        assert!(!report.classes_reset, "{prefix}");
+        let loaded = StateDict::of(&loaded, tensor_name);
+        assert!(loaded.tensors == state.tensors, "{prefix}");
+    }
+}
+
+#[test]
 fn the_names_and_shapes_of_all_tensors_are_the_published_ones() {
     for scale in Scale::ALL {
         let path = fixture_path(&format!("state_dict/yolo11{scale}_nc80.csv"));

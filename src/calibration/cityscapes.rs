@@ -5,6 +5,8 @@
 //!  "intrinsic": {"fx": 2262.52, "fy": 2265.3, "u0": 1096.98, "v0": 513.137}}
 //! ```
 
+use std::path::Path;
+
 use super::entries::Matrix;
 use super::format::Format;
 use super::json::{has_names, required, tree};
@@ -28,8 +30,9 @@ impl Format for Cityscapes {
         has_names(text, &["intrinsic", "u0", "extrinsic", "baseline"])
     }
 
-    fn has_name(&self, name: &str) -> bool {
-        name.ends_with("_camera.json")
+    fn has_name(&self, name: &Path) -> bool {
+        let name = name.file_name().and_then(|name| name.to_str());
+        name.is_some_and(|name| name.ends_with("_camera.json"))
     }
 
     fn parse(&self, texts: &[&str], _options: &LoadOptions) -> Result<CalibrationParts> {

@@ -235,6 +235,26 @@ impl Entries {
             };
             self.add(&joined, value)?;
         }
+        // A camera's numbers one by one, as programs print them.
+        let joined = |member: &str| match name {
+            "" => member.to_owned(),
+            name => format!("{name}.{member}"),
+        };
+        for (member, values) in [
+            ("intrinsics", single_numbers(members, &FOCAL_AND_CENTER)),
+            ("distortion", single_numbers(members, &LENS)),
+        ] {
+            let name = joined(member);
+            if let Some(values) = values {
+                let matrix = Matrix {
+                    rows: 1,
+                    columns: values.len(),
+                    values,
+                };
+                let entry = (name.clone(), Entry::Numbers(matrix));
+                self.by_name.entry(plain(&name)).or_insert(entry);
+            }
+        }
         Ok(())
     }
 
@@ -280,6 +300,20 @@ impl Entries {
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.by_name.values().map(|(name, _)| name.as_str())
     }
+}
+
+/// Names of focal lengths and principal point.
+const FOCAL_AND_CENTER: [&[&str]; 4] =
+    [&["fx"], &["fy"], &["cx", "ppx", "u0"], &["cy", "ppy", "v0"]];
+
+/// Names of coefficients of a lens, OpenCV's order.
+const LENS: [&[&str]; 5] = [&["k1"], &["k2"], &["p1"], &["p2"], &["k3"]];
+
+/// Numbers that stand one by one under these names; none unless the first four are there.
+fn single_numbers(members: &serde_json::Map<String, Value>, names: &[&[&str]]) -> Option<Vec<f64>> {
+    let value = |names: &&[&str]| names.iter().find_map(|name| members.get(*name)?.as_f64());
+    let values: Vec<f64> = names.iter().map_while(value).collect();
+    (values.len() >= 4).then_some(values)
 }
 
 /// Whether a value stands for a number, be it none that is finite: YAML's `.nan`, `.inf` and nothing.

@@ -31,7 +31,7 @@ pub(super) trait Format: Sync {
     fn matches(&self, text: &str) -> bool;
 
     /// Whether a file of this name is meant to be of this format, whatever is in it.
-    fn has_name(&self, _name: &str) -> bool {
+    fn has_name(&self, _name: &Path) -> bool {
         false
     }
 
@@ -96,10 +96,7 @@ pub(super) fn parse(
     options: &LoadOptions,
 ) -> Result<CalibrationParts> {
     let of = |text: &str| FORMATS.iter().find(|format| format.matches(text));
-    let of_name = |path: &&Path| {
-        let name = path.file_name()?.to_str()?.to_lowercase();
-        FORMATS.iter().find(|format| format.has_name(&name))
-    };
+    let of_name = |path: &&Path| FORMATS.iter().find(|format| format.has_name(path));
     match texts {
         [text] if text.trim().is_empty() => {
             Err(Error::value("content", "the file is empty", known_list()))

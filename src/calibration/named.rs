@@ -136,6 +136,9 @@ fn parts(entries: &Entries) -> Result<CalibrationParts> {
         if let Some(parts) = projections_alone(entries)? {
             return Ok(parts);
         }
+        if let Some(parts) = one_for_both(entries)? {
+            return Ok(parts);
+        }
         let present: Vec<&str> = entries.names().take(12).collect();
         return Err(Error::value(
             "camera matrices",
@@ -187,6 +190,25 @@ fn projections_alone(entries: &Entries) -> Result<Option<CalibrationParts>> {
         }
     }
     Ok(None)
+}
+
+/// The cameras of rectified images, where a file has one camera without a lens and a baseline.
+fn one_for_both(entries: &Entries) -> Result<Option<CalibrationParts>> {
+    let baseline = entries.numbers(&["baseline", "baselinem"]);
+    let (Some((name, matrix)), Some((_, baseline))) = (entries.numbers(&MATRIX), baseline) else {
+        return Ok(None);
+    };
+    let has_lens = entries
+        .numbers(&LENS)
+        .is_some_and(|(_, lens)| lens.values.iter().any(|value| *value != 0.0));
+    let ([baseline_m], false) = (&baseline.values[..], has_lens) else {
+        return Ok(None);
+    };
+    Ok(Some(CalibrationParts::rectified(
+        size(entries, &["", ""])?,
+        [intrinsics(name, matrix)?; 2],
+        *baseline_m,
+    )))
 }
 
 /// A camera matrix, or Kalibr's four numbers.

@@ -93,7 +93,11 @@ pub(super) fn projections(
     entries: &Entries,
     sides: &[&str; 2],
 ) -> Result<Option<([Intrinsics; 2], f64)>> {
-    let [left, right] = sides.map(|side| entries.numbers(&spelled(&PROJECTION, side)));
+    // Coefficients of a lens are called p1 and p2 as well.
+    let [left, right] = sides.map(|side| {
+        let found = entries.numbers(&spelled(&PROJECTION, side));
+        found.filter(|(_, matrix)| matrix.values.len() > 1)
+    });
     let (Some(left), Some(right)) = (left, right) else {
         return Ok(None);
     };

@@ -1,4 +1,4 @@
-//! Intel's RealSense: the calibration table of a D400 camera as its tools save it, and what its
+//! Intel's `RealSense`: the calibration table of a D400 camera as its tools save it, and what its
 //! library says of two streams.
 //!
 //! ```json
@@ -26,20 +26,19 @@ use crate::geometry::{CalibrationParts, Distortion, Intrinsics};
 
 const REMEDY: &str = "save the calibration again, with both infrared cameras and their baseline";
 
-/// No RealSense has its cameras this far from each other in metres, or this near in millimetres.
+/// No `RealSense` has its cameras this far from each other in metres, or this near in millimetres.
 const LEAST_MM: f64 = 5.0;
 
 /// Names of the left and the right camera.
-const SIDES: [[&str; 2]; 6] = [
+const SIDES: [[&str; 2]; 5] = [
     ["infra1", "infra2"],
     ["infrared1", "infrared2"],
     ["ir1", "ir2"],
     ["left", "right"],
     ["cam0", "cam1"],
-    ["left_ir", "right_ir"],
 ];
 
-/// RealSense's files.
+/// `RealSense`'s files.
 pub(super) struct RealSense;
 
 impl Format for RealSense {
@@ -85,14 +84,13 @@ fn baseline_m(values: &BTreeMap<String, f64>) -> Result<f64> {
     let said = ["baseline", "baseline_m", "baseline_mm"]
         .into_iter()
         .find_map(of);
-    let value = match said {
-        Some((_, value)) => value.abs(),
-        None => {
-            let translation = of("translation.0").or_else(|| of("translation.x"));
-            let translation = translation.map(|(_, value)| value.abs());
-            translation.ok_or_else(|| Error::value("baseline", "is missing", REMEDY))?
-        }
+    let found = said
+        .or_else(|| of("translation.0"))
+        .or_else(|| of("translation.x"));
+    let Some((_, value)) = found else {
+        return Err(Error::value("baseline", "is missing", REMEDY));
     };
+    let value = value.abs();
     Ok(if value >= LEAST_MM {
         value / 1000.0
     } else {
@@ -160,7 +158,9 @@ fn streams(values: &BTreeMap<String, f64>) -> Result<Resolution<[Intrinsics; 2]>
         .filter_map(|name| name.strip_suffix(".ppx"))
         .collect();
     let of_side = |word: &str| {
-        let is_side = |name: &&&str| name.split('.').any(|part| part == word);
+        // `infra1`, `Infrared 1` and `infra1_intrinsics` are the same.
+        let plain = |part: &str| part.replace(|c: char| !c.is_alphanumeric(), "");
+        let is_side = |name: &&&str| name.split('.').any(|part| plain(part).contains(word));
         names.iter().find(is_side).copied()
     };
     let sides = SIDES

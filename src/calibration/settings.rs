@@ -1,5 +1,7 @@
 //! The TOML form: this crate's own units and pixel coordinates.
 
+use std::path::Path;
+
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -41,8 +43,8 @@ impl Format for Settings {
         })
     }
 
-    fn has_name(&self, name: &str) -> bool {
-        name.ends_with(".toml")
+    fn has_name(&self, name: &Path) -> bool {
+        name.extension().is_some_and(|ending| ending == "toml")
     }
 
     fn parse(&self, texts: &[&str], options: &LoadOptions) -> Result<CalibrationParts> {

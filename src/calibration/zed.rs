@@ -9,6 +9,7 @@
 //! ```
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use glam::DVec3;
 
@@ -49,8 +50,10 @@ impl Format for Zed {
             .any(|line| line.trim().to_lowercase().starts_with("[left_cam_"))
     }
 
-    fn has_name(&self, name: &str) -> bool {
-        name.starts_with("sn") && name.ends_with(".conf")
+    fn has_name(&self, name: &Path) -> bool {
+        let stem = name.file_stem().and_then(|stem| stem.to_str());
+        name.extension().is_some_and(|ending| ending == "conf")
+            && stem.is_some_and(|stem| stem.starts_with("SN"))
     }
 
     fn parse(&self, texts: &[&str], options: &LoadOptions) -> Result<CalibrationParts> {

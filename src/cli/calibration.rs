@@ -15,7 +15,7 @@ use super::{stderr, values};
 #[command(next_help_heading = "The cameras that took the images")]
 pub struct CalibrationArgs {
     /// Calibration of the cameras that took the images (given twice where it is in two files): OpenCV's
-    /// stereo YAML, ROS, Kalibr, KITTI, ZED, OAK-D, RealSense, EuRoC, ORB_SLAM, Middlebury, Cityscapes,
+    /// stereo YAML, ROS, Kalibr, KITTI, ZED, OAK-D, `RealSense`, `EuRoC`, `ORB_SLAM`, Middlebury, Cityscapes,
     /// a camera matrix and a baseline in two lines, or TOML; docs/formats.md has an example of each.
     /// Images that are not rectified are rectified by it; boxes are then those of the rectified images
     #[arg(long, value_name = "FILE")]

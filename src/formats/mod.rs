@@ -47,11 +47,23 @@ use crate::imaging::{READABLE, files_in};
 fn image_files(folder: &Path, problems: &mut Vec<Problem>) -> Result<BTreeMap<String, PathBuf>> {
     let files = files_in(folder)?;
     problems.extend(files.skipped.iter().map(|path| skipped(folder, path)));
-    let named = files.images.into_iter().filter_map(|path| {
-        let stem = path.file_stem()?.to_string_lossy().into_owned();
-        Some((stem, path))
-    });
-    Ok(named.collect())
+    let mut named: BTreeMap<String, PathBuf> = BTreeMap::new();
+    for path in files.images {
+        let Some(stem) = path.file_stem() else {
+            continue;
+        };
+        let stem = stem.to_string_lossy().into_owned();
+        if let Some(first) = named.get(&stem) {
+            let first = first.file_name().unwrap_or_default().display();
+            problems.push(Problem {
+                subject: path.display().to_string(),
+                reason: format!("has the name of {first}, which is taken"),
+            });
+            continue;
+        }
+        named.insert(stem, path);
+    }
+    Ok(named)
 }
 
 /// A file that may be a picture but not of a kind that is read.

@@ -301,7 +301,7 @@ fn images_of_all_kinds_are_read_and_what_is_left_out_is_listed() {
     );
 }
 
-/// A rotation matrix of QuickTime: 16.16 numbers, but for the last column with 2.30.
+/// A rotation matrix of `QuickTime`: 16.16 numbers, but for the last column with 2.30.
 fn matrix([a, b, c, d]: [i32; 4], [x, y]: [i32; 2]) -> Vec<u8> {
     let numbers = [
         a << 16,

@@ -84,6 +84,37 @@ fn a_detector_is_trained_and_its_data_refused_where_distances_are_to_be_learnt()
 }
 
 #[test]
+fn what_an_import_leaves_out_is_counted_and_named_and_metres_are_taken_where_they_are_meant() {
+    let place = Workplace::new();
+    place.write("set/data.yaml", "train: images\nnames: [car]\n");
+    place.write("set/images/c.heic", "ftypheic");
+    for (name, line) in [("a", "0 0.5 0.5 0.2 0.2 12.5"), ("b", "0 0.5 0.5 0 0.2")] {
+        place.write_image(&format!("set/images/{name}.png"), 64, 48);
+        place.write(&format!("set/labels/{name}.txt"), line);
+    }
+    place.write_image("set/images/d.png", 64, 48);
+    let outcome = place.line("import auto set --out plain");
+    for words in [
+        "left out images/a.png: a sixth number is taken for a confidence",
+        "left out images/b.png: a box has no size",
+        "left out images/c.heic: is not a PNG, JPEG, BMP, WebP or TIFF image",
+    ] {
+        assert!(outcome.stderr.contains(words), "{}", outcome.stderr);
+    }
+    let said = outcome.success();
+    assert!(
+        said.contains("3 frames") && said.contains("1 vehicles"),
+        "{said}"
+    );
+    assert!(said.contains("1 images without a label file"), "{said}");
+    let metres = "import yolo set --distance-column --out metres";
+    let said = place.line(metres).success();
+    assert!(!said.contains("with a distance"), "{said}");
+    let label = std::fs::read_to_string(place.path("metres/frames/left_00001.txt")).unwrap();
+    assert!(label.contains(" 12.5 "), "{label}");
+}
+
+#[test]
 fn what_cannot_be_imported_or_exported_is_an_error_with_a_remedy() {
     let place = Workplace::new();
     place.write("empty/readme.txt", "");
@@ -106,6 +137,14 @@ fn what_cannot_be_imported_or_exported_is_an_error_with_a_remedy() {
             ["--distance", "yolo"],
         ),
         ("inspect empty", ["dataset.toml", "empty"]),
+        (
+            "import auto empty --out o",
+            ["known are", "docs/formats.md"],
+        ),
+        (
+            "import yolo empty --out o",
+            ["known are", "docs/formats.md"],
+        ),
     ] {
         place.line(line).error_says(&words);
     }

@@ -32,6 +32,45 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     files
 }
 
+#[cfg(unix)]
+#[test]
+fn a_link_given_as_output_stays_and_what_it_leads_to_is_written() {
+    use std::os::unix::fs::symlink;
+    let place = with_folders();
+    place.write("disk/old.jsonl", "old\n");
+    symlink("disk/old.jsonl", place.path("out.jsonl")).unwrap();
+    symlink("disk/new.csv", place.path("out.csv")).unwrap();
+    symlink("disk/seen.png", place.path("seen.png")).unwrap();
+    place.write("left/2.heic", "ftypheic");
+    let outcome = place.line(&format!(
+        "{SEES} left right --jsonl out.jsonl --csv out.csv"
+    ));
+    assert!(
+        outcome.stderr.contains("left out 1 files"),
+        "{}",
+        outcome.stderr
+    );
+    assert!(outcome.stderr.contains("left/2.heic"), "{}", outcome.stderr);
+    outcome.success();
+    let line = format!("{SEES} left/0.png right/0.png --annotate seen.png");
+    place.line(&line).success();
+    for (link, target) in [
+        ("out.jsonl", "disk/old.jsonl"),
+        ("out.csv", "disk/new.csv"),
+        ("seen.png", "disk/seen.png"),
+    ] {
+        let kind = fs::symlink_metadata(place.path(link)).unwrap().file_type();
+        assert!(kind.is_symlink(), "{link}");
+        assert_ne!(fs::read(place.path(target)).unwrap(), b"old\n", "{target}");
+    }
+    assert_eq!(fs::read_dir(place.path("disk")).unwrap().count(), 3);
+    // Nor is a link a way to replace what is read.
+    symlink("left/0.png", place.path("way.png")).unwrap();
+    place
+        .line(&format!("{SEES} left/0.png right/0.png --annotate way.png"))
+        .error_says(&["way.png", "is read"]);
+}
+
 #[test]
 fn a_prediction_replaces_neither_what_it_reads_nor_files_of_another_kind() {
     let place = with_folders();

@@ -137,7 +137,7 @@ fn broken_frames_are_named_with_their_reasons_and_the_others_are_measured() {
     let broken = [
         ("00010", "empty"),
         ("00025", "cannot be decoded"),
-        ("00040", "neither a PNG nor a JPEG"),
+        ("00040", "is not a PNG, JPEG, BMP, WebP or TIFF image"),
         ("00055", "no right image"),
         ("00070", "48x27"),
         ("00085", "too large"),

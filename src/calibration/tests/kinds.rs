@@ -139,7 +139,7 @@ fn middlebury_cityscapes_and_driving_stereo_are_rectified_rigs() {
     assert_plain(&rig_of(kitti_360, [640, 360]));
 }
 
-/// An EuRoC camera that stands so many metres along the body's x.
+/// An `EuRoC` camera that stands so many metres along the body's x.
 fn sensor(x_m: f64, lens: &str) -> String {
     format!(
         "#Default imu sensor yaml file\nsensor_type: camera\ncomment: VI-Sensor cam0\n\n\
@@ -294,7 +294,7 @@ fn real_sense_tables_give_the_resolution_and_streams_their_own() {
         (["infra1", "infra2"], r#""baseline": 0.8"#),
         (["left", "right"], r#""baseline_mm": 800"#),
         (
-            ["infrared1", "infrared2"],
+            ["Infrared 1", "Infrared 2"],
             r#""extrinsics": {"rotation": [1,0,0,0,1,0,0,0,1], "translation": [-0.8, 0.0, 0.0]}"#,
         ),
     ] {
@@ -308,6 +308,25 @@ fn real_sense_tables_give_the_resolution_and_streams_their_own() {
     assert!(refusal(&bent).contains("not rectified"));
     let alone = format!("{{{}, \"baseline\": 0.8}}", stream("color", plain));
     assert!(refusal(&alone).contains("only color"));
+}
+
+#[test]
+fn cameras_whose_numbers_stand_one_by_one_are_read() {
+    let camera = r#"{"fx": 320, "fy": 320.0, "cx": 319.5, "cy": 179.5}"#;
+    let both = format!(
+        r#"{{"left": {camera}, "right": {camera}, "width": 640, "height": 360, "baseline": 0.8}}"#
+    );
+    assert_plain(&rig_of(&both, [640, 360]));
+    let one = "fx: 320.0\nfy: 320.0\ncx: 319.5\ncy: 179.5\nbaseline: 0.8\n";
+    assert_plain(&rig_of(one, [640, 360]));
+    let lens = both.replace(
+        "179.5}",
+        "179.5, \"k1\": -0.2, \"k2\": 0.1, \"p1\": 0, \"p2\": 0.001}",
+    );
+    let found = read(&lens).cameras()[1].distortion.coefficients();
+    assert_eq!(found[..5], [-0.2, 0.1, 0.0, 0.001, 0.0]);
+    let bent = format!("{one}k1: -0.2\nk2: 0.1\np1: 0\np2: 0\n");
+    assert!(refusal(&bent).contains("camera matrices"));
 }
 
 #[test]
@@ -345,8 +364,8 @@ fn echo(x: f64, is_second: bool, stamp: u32) -> String {
     let roi = "binning_x: 0\nbinning_y: 0\nroi:\n  x_offset: 0\n  y_offset: 0\n  height: 0\n  width: 0\n  do_rectify: false\n---\n";
     if is_second {
         let list = |name: &str, values: &[f64]| {
-            let lines: String = values.iter().map(|v| format!("- {v:?}\n")).collect();
-            format!("{name}:\n{lines}")
+            let lines: Vec<String> = values.iter().map(|v| format!("- {v:?}")).collect();
+            format!("{name}:\n{}\n", lines.join("\n"))
         };
         return format!(
             "header:\n  stamp:\n    sec: {stamp}\n    nanosec: 3\n  frame_id: left\nheight: 360\nwidth: \

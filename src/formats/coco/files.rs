@@ -43,8 +43,9 @@ pub(super) fn json_paths(source: &Path) -> Result<Vec<PathBuf>> {
         let is_instances = |path: &PathBuf| file_word(path).starts_with("instances");
         if found.iter().any(is_instances) {
             found.retain(is_instances);
-        } else {
-            let is_other = |path: &PathBuf| OTHERS.iter().any(|o| file_word(path).starts_with(o));
+        }
+        let is_other = |path: &PathBuf| OTHERS.iter().any(|o| file_word(path).starts_with(o));
+        if !found.iter().all(is_other) {
             found.retain(|path| !is_other(path));
         }
         // Settings and the like may lie beside them.

@@ -138,25 +138,22 @@ impl<'a> Reader<'a> {
         let split = split_of(&word).or_else(|| split_of(&folder_word));
         let above = beside.join("..");
         let set = word.strip_prefix("instances_").unwrap_or(&word);
-        let (roots, below) = match images {
-            Some(images) => {
-                let images = images.to_path_buf();
-                (vec![images.join(set), images.clone()], vec![images])
-            }
-            None => {
-                let roots = [beside, &above].into_iter().flat_map(|folder| {
-                    let inside = ["images", set].map(|name| folder.join(name));
-                    let deeper = folder.join("images").join(set);
-                    [
-                        deeper,
-                        inside[0].clone(),
-                        inside[1].clone(),
-                        folder.to_path_buf(),
-                    ]
-                });
-                let below = [beside.to_path_buf(), above.join("images"), above.join(set)];
-                (roots.collect(), below.to_vec())
-            }
+        let (roots, below) = if let Some(images) = images {
+            let images = images.to_path_buf();
+            (vec![images.join(set), images.clone()], vec![images])
+        } else {
+            let roots = [beside, &above].into_iter().flat_map(|folder| {
+                let inside = ["images", set].map(|name| folder.join(name));
+                let deeper = folder.join("images").join(set);
+                [
+                    deeper,
+                    inside[0].clone(),
+                    inside[1].clone(),
+                    folder.to_path_buf(),
+                ]
+            });
+            let below = [beside.to_path_buf(), above.join("images"), above.join(set)];
+            (roots.collect(), below.to_vec())
         };
         let mut annotations: BTreeMap<&Id, Vec<&CocoAnnotation>> = BTreeMap::new();
         for annotation in &file.annotations {

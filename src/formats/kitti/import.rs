@@ -116,7 +116,7 @@ impl Importer for Objects {
             // They are all read again, and named again.
             return single.draft(source, left_only(&training, left_images), Vec::new());
         }
-        stereo_draft(source, found, classes, options, &splits, problems)
+        stereo_draft(source, found, &classes, options, &splits, problems)
     }
 }
 
@@ -142,7 +142,7 @@ pub(in super::super) fn wanted_classes(classes: Option<&ClassMap>) -> ClassMap {
 pub(super) fn stereo_draft(
     source: &Path,
     found: Vec<Found>,
-    classes: ClassMap,
+    classes: &ClassMap,
     options: &ImportOptions,
     splits: &BTreeMap<String, Split>,
     mut problems: Vec<Problem>,
@@ -169,7 +169,7 @@ pub(super) fn stereo_draft(
     let frames = found
         .into_iter()
         .zip(stamps)
-        .map(|(found, stamp)| draft(found, stamp, &rig, &classes, options, splits))
+        .map(|(found, stamp)| draft(found, stamp, &rig, classes, options, splits))
         .collect();
     let kinds = if has_spheres {
         vec![BoxKind::Sphere, BoxKind::Tight]

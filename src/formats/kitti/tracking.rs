@@ -83,7 +83,7 @@ impl Importer for Tracking {
             };
             return single.draft(source, left_only, problems);
         }
-        stereo_draft(source, found, classes, options, &BTreeMap::new(), problems)
+        stereo_draft(source, found, &classes, options, &BTreeMap::new(), problems)
     }
 }
 

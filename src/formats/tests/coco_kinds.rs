@@ -62,6 +62,9 @@ fn coco_folder(place: &Place, image: impl Fn(u32) -> String, annotation: impl Fn
     place.write("coco/annotations/instances_train.json", &text);
 }
 
+/// What a file says of each image, or annotation.
+type Text = Box<dyn Fn(u32) -> String>;
+
 #[test]
 fn coco_is_read_however_its_numbers_are_written() {
     let plain_image =
@@ -74,7 +77,6 @@ fn coco_is_read_however_its_numbers_are_written() {
     let changed = |from: &'static str, to: &'static str| move |n: u32| plain(n).replace(from, to);
     let image_changed =
         |from: &'static str, to: &'static str| move |n: u32| plain_image(n).replace(from, to);
-    type Text = Box<dyn Fn(u32) -> String>;
     let cases: Vec<(Text, Text)> = vec![
         (Box::new(plain_image), Box::new(plain)),
         (

@@ -1,5 +1,7 @@
 //! KITTI's folders as people really have them.
 
+use std::fmt::Write as _;
+
 use super::kinds::default_import;
 use super::*;
 use crate::geometry::PixelBox;
@@ -20,10 +22,12 @@ fn tracks_of_kitti_are_pairs_with_their_sequences_kept_apart() {
                 let seed = camera * 10 + frame + u32::from(sequence == "0007") * 5;
                 place.image(&name, [320, 120], seed);
             }
-            labels += &format!(
+            write!(
+                labels,
                 "{frame} 4 {CAR}\n{frame} -1 DontCare -1 -1 -10 10 40 30 55 -1 -1 -1 -1000 -1000 \
                  -1000 -10\n{frame} 2 Pedestrian 0 0 0.2 200 40 210 80 1.8 0.5 0.5 3 1.6 12 0.1\n"
-            );
+            )
+            .unwrap();
         }
         place.write(&format!("kitti/training/calib/{sequence}.txt"), CALIBRATION);
         place.write(&format!("kitti/training/label_02/{sequence}.txt"), &labels);

@@ -20,8 +20,8 @@ use crate::files;
 use crate::geometry::{PixelBox, StereoRig};
 
 /// What is said of numbers behind the boxes.
-const CONFIDENCE: &str = "a sixth number is taken for a confidence and left out; where it is a \
-                          distance in metres, say --distance-column";
+const CONFIDENCE: &str = "a sixth number is taken for a confidence, not for a distance; where it is \
+                          metres, say --distance-column";
 
 /// YOLO's text files.
 pub(in super::super) struct Yolo;
