@@ -15,7 +15,7 @@ mod view;
 pub use estimator::{Calibration, Moments, SizeEstimator, SizeHeader};
 pub(crate) use estimator::{RawWitness, SizeInputs};
 pub use guard::Guard;
-pub(crate) use guard::{GuardEvidence, GuardLimits};
+pub use guard::{FrameLimits, GuardEvidence, GuardLimits};
 pub use network::{SizeConfig, SizeNetwork, SizeOutput};
 pub(crate) use view::write_pixels;
 pub use view::{SIDE_PX, SizeView, VIEW_CHANNELS, VIEW_NUMBERS, crop_area};

@@ -8,7 +8,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::guard::{Guard, GuardEvidence, GuardLimits};
+use super::guard::{FrameLimits, Guard, GuardEvidence, GuardLimits};
 use super::view::write_crop;
 use super::{SIDE_PX, SizeConfig, SizeNetwork, SizeView, VIEW_CHANNELS, VIEW_NUMBERS};
 use crate::dataset::BoxKind;
@@ -28,6 +28,13 @@ const UNKNOWN_LOG_SIZE: f64 = 0.7;
 
 /// Spread of the extent where nothing is known, metres: anything from a motorcycle to a lorry.
 const UNKNOWN_EXTENT_M: f64 = 1.2;
+
+/// Ratios of focal length in pixels, to either side, from which on cameras are strange and from which
+/// on nothing is known of their pictures: how sharp a crop is follows from it.
+const FOCAL_RATIOS: GuardLimits = GuardLimits {
+    near: 1.3,
+    far: 1.8,
+};
 
 /// Mean extent where training had none to learn from, metres.
 const USUAL_EXTENT_M: f64 = 1.2;
@@ -74,6 +81,9 @@ pub struct Calibration {
     /// How far from the training vehicles the network is believed; absent where it is always.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub guard: Option<GuardLimits>,
+    /// The same of all vehicles of an image together.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<FrameLimits>,
 }
 
 impl Calibration {
@@ -82,6 +92,7 @@ impl Calibration {
         log_size: 1.0,
         extent: 1.0,
         guard: None,
+        frame: None,
     };
 }
 
@@ -218,7 +229,8 @@ impl SizeEstimator {
         &self.header
     }
 
-    /// A witness of each box in the left image of a rig.
+    /// A witness of each box in the left image of a rig; all vehicles of it together, since they say
+    /// of each other whether such pictures are known.
     ///
     /// # Errors
     /// A device that fails.
@@ -228,9 +240,7 @@ impl SizeEstimator {
         boxes: &[PixelBox],
         rig: &StereoRig,
     ) -> Result<Vec<SizeWitness>> {
-        let views: Vec<(&RgbImage, PixelBox)> =
-            boxes.iter().map(|area| (left_image, *area)).collect();
-        self.witnesses_of(&views, &rig.left)
+        self.witnesses_of(left_image, boxes, &rig.left)
     }
 
     /// A witness of each box in an image of a camera.
@@ -239,32 +249,31 @@ impl SizeEstimator {
     /// A device that fails.
     pub fn witnesses_of(
         &self,
-        boxes: &[(&RgbImage, PixelBox)],
+        image: &RgbImage,
+        boxes: &[PixelBox],
         camera: &Camera,
     ) -> Result<Vec<SizeWitness>> {
-        let mut witnesses = Vec::with_capacity(boxes.len());
+        let mut raw = Vec::with_capacity(boxes.len());
         for batch in boxes.chunks(BATCH) {
             let mut pixels = vec![0.0; batch.len() * SizeInputs::PIXELS];
             let views = pixels
                 .par_chunks_exact_mut(SizeInputs::PIXELS)
                 .zip(batch)
-                .map(|(pixels, (image, area))| {
+                .map(|(pixels, area)| {
                     let tone = write_crop(image, area, pixels);
                     SizeView::of_box(area, camera).with_picture(pixels, tone)
                 })
                 .collect();
-            for raw in self.examine(SizeInputs { pixels, views })? {
-                witnesses.push(self.corrected(&raw));
-            }
+            raw.extend(self.examine(SizeInputs { pixels, views })?);
         }
-        Ok(witnesses)
+        Ok(self.corrected(&raw, camera))
     }
 
     /// What the network says of crops, before its spreads are corrected.
     ///
     /// # Errors
     /// A device that fails.
-    pub fn examine(&self, inputs: SizeInputs) -> Result<Vec<RawWitness>> {
+    pub(crate) fn examine(&self, inputs: SizeInputs) -> Result<Vec<RawWitness>> {
         let views = inputs.views.clone();
         let (pixels, numbers_tensor) = inputs.into_tensors(&self.device);
         let output = self.network.forward(pixels, numbers_tensor);
@@ -296,26 +305,45 @@ impl SizeEstimator {
             .collect())
     }
 
-    /// The witness with its spreads corrected: wider by what unseen scenes said, and as wide as
-    /// ignorance where the guard does not know the vehicle.
-    pub fn corrected(&self, raw: &RawWitness) -> SizeWitness {
+    /// The witnesses of one image of a camera with their spreads corrected: wider by what unseen scenes
+    /// said, and as wide as ignorance where the guard does not know vehicle, image or camera.
+    pub(crate) fn corrected(&self, raw: &[RawWitness], camera: &Camera) -> Vec<SizeWitness> {
         let calibration = self.header.calibration.unwrap_or(Calibration::NONE);
-        let unknown = match (&self.guard, calibration.guard) {
-            (Some(guard), Some(limits)) => limits.unknown(guard.distance(&raw.evidence)),
+        let focal_ratio = camera.focal_x_px / self.header.rig.left.focal_x_px;
+        let unknown_camera = FOCAL_RATIOS.unknown(focal_ratio.max(1.0 / focal_ratio));
+        let distances: Option<Vec<f64>> = self.guard.as_ref().map(|guard| {
+            let each = raw.iter().map(|raw| guard.distance(&raw.evidence));
+            each.collect()
+        });
+        let unknown_image = match (calibration.frame, &distances) {
+            (Some(limits), Some(distances)) => limits.unknown(distances),
             _ => 0.0,
         };
-        let widened = |std: f64, factor: f64, unknown_std: f64| {
-            let known = std * factor;
-            (known * known + unknown * unknown_std * unknown_std).sqrt()
-        };
-        let said = &raw.said;
-        SizeWitness {
-            log_size_mean: said.log_size_mean,
-            log_size_std: widened(said.log_size_std, calibration.log_size, UNKNOWN_LOG_SIZE),
-            extent_mean_m: said.extent_mean_m,
-            extent_std_m: widened(said.extent_std_m, calibration.extent, UNKNOWN_EXTENT_M),
-            unknown,
-        }
+        raw.iter()
+            .enumerate()
+            .map(|(index, raw)| {
+                let unknown_vehicle = match (calibration.guard, &distances) {
+                    (Some(limits), Some(distances)) => limits.unknown(distances[index]),
+                    _ => 0.0,
+                };
+                let unknown = unknown_camera.max(unknown_image).max(unknown_vehicle);
+                widened(&raw.said, &calibration, unknown)
+            })
+            .collect()
+    }
+}
+
+/// A witness with its spreads corrected, and widened by how unknown its vehicle is.
+fn widened(said: &SizeWitness, calibration: &Calibration, unknown: f64) -> SizeWitness {
+    let wide = |std: f64, factor: f64, unknown_std: f64| {
+        (std * factor).hypot(unknown.sqrt() * unknown_std)
+    };
+    SizeWitness {
+        log_size_mean: said.log_size_mean,
+        log_size_std: wide(said.log_size_std, calibration.log_size, UNKNOWN_LOG_SIZE),
+        extent_mean_m: said.extent_mean_m,
+        extent_std_m: wide(said.extent_std_m, calibration.extent, UNKNOWN_EXTENT_M),
+        unknown,
     }
 }
 

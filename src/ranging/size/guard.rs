@@ -87,6 +87,39 @@ impl GuardLimits {
     }
 }
 
+/// How unlike the training frames a whole image's vehicles may be: what all of them share, such as the
+/// camera and the place, shows better in their mean than in any one of them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FrameLimits {
+    /// Distance of a usual vehicle.
+    pub usual: f64,
+    /// Limits of the mean over an image, of which [`USUAL_VEHICLES`] usual ones are a part.
+    pub limits: GuardLimits,
+}
+
+/// Usual vehicles that every image's mean begins with, so that a single strange one says little of it.
+const USUAL_VEHICLES: f64 = 2.0;
+
+/// A single vehicle's distance counts for no more than so many usual ones.
+const LARGEST_SHARE: f64 = 3.0;
+
+impl FrameLimits {
+    /// Mean distance of an image's vehicles, the usual ones among them.
+    pub fn mean(usual: f64, distances: &[f64]) -> f64 {
+        let most = LARGEST_SHARE * usual;
+        // Not `clamp`: what is no number counts as the largest.
+        let capped = |&distance: &f64| if distance < most { distance } else { most };
+        let sum: f64 = distances.iter().map(capped).sum();
+        (USUAL_VEHICLES * usual + sum) / (USUAL_VEHICLES + distances.len() as f64)
+    }
+
+    /// How unknown all vehicles of an image are.
+    pub fn unknown(&self, distances: &[f64]) -> f64 {
+        self.limits.unknown(Self::mean(self.usual, distances))
+    }
+}
+
 impl Guard {
     /// Of training vehicles; `unseen` are those of other scenes that say what is usual, without which
     /// the training vehicles do. None of too few vehicles.
@@ -328,6 +361,21 @@ mod tests {
         assert!(Guard::take_from(&mut tensors).unwrap().is_none());
         broken.remove("guard.picture.scale");
         assert!(Guard::take_from(&mut broken).is_err());
+    }
+
+    #[test]
+    fn many_slightly_strange_vehicles_make_a_strange_image_and_a_single_one_does_not() {
+        let limits = FrameLimits {
+            usual: 0.7,
+            limits: GuardLimits {
+                near: 0.85,
+                far: 1.0,
+            },
+        };
+        assert_eq!(limits.unknown(&[0.7, 0.6, 0.8]), 0.0);
+        assert_eq!(limits.unknown(&[1.1]), 0.0);
+        assert!(limits.unknown(&[1.1; 6]) > 0.9);
+        assert!(limits.unknown(&[f64::NAN, 1.0]) > 0.9);
     }
 
     #[test]

@@ -6,8 +6,8 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::findings::{SizeErrors, SizeSummary};
-use super::samples::Samples;
-use super::view::LoadedViews;
+use super::samples::{Sample, Samples};
+use super::view::{LoadedViews, Target};
 use super::{SizeRecipe, Split};
 use crate::dataset::StereoDataset;
 use crate::error::Result;
@@ -15,8 +15,8 @@ use crate::evaluate::write_json;
 use crate::metrics::quantile_of;
 use crate::progress::Progress;
 use crate::ranging::size::{
-    Calibration, Guard, GuardEvidence, GuardLimits, RawWitness, SizeConfig, SizeEstimator,
-    SizeHeader,
+    Calibration, FrameLimits, Guard, GuardEvidence, GuardLimits, RawWitness, SizeConfig,
+    SizeEstimator, SizeHeader,
 };
 use crate::train::StageFolder;
 use crate::train::stage::Recipe as _;
@@ -70,12 +70,13 @@ impl SizeRecipe {
         let limits = guard.as_ref().map(|guard| {
             // Without unseen scenes those that were seen must do.
             let usual = if others.is_empty() { &seen } else { &others };
-            let distances = usual.iter().map(|vehicle| guard.distance(vehicle));
-            let near = quantile_of(distances, PASSED);
-            GuardLimits {
-                near,
-                far: FAR * near,
-            }
+            let distances: Vec<f64> = usual.iter().map(|v| guard.distance(v)).collect();
+            let samples = if others.is_empty() {
+                &self.train
+            } else {
+                &self.val
+            };
+            limits_of(&distances, &samples.samples)
         });
         let mut errors = SizeErrors::default();
         for (raw, target) in &unseen {
@@ -84,7 +85,8 @@ impl SizeRecipe {
         let calibration = Calibration {
             log_size: errors.log_size.factor(),
             extent: errors.extent.factor(),
-            guard: limits,
+            guard: limits.map(|(vehicle, _)| vehicle),
+            frame: limits.map(|(_, frame)| frame),
         };
         let header = SizeHeader {
             calibration: Some(calibration),
@@ -116,7 +118,7 @@ impl SizeRecipe {
         &self,
         estimator: &SizeEstimator,
         samples: &Samples,
-    ) -> Result<Vec<(RawWitness, super::view::Target)>> {
+    ) -> Result<Vec<(RawWitness, Target)>> {
         let items: Vec<usize> = (0..samples.samples.len()).collect();
         let mut said = Vec::with_capacity(items.len());
         for items in items.chunks(self.settings.batch) {
@@ -128,9 +130,47 @@ impl SizeRecipe {
 
     fn summary(&self, estimator: &SizeEstimator, samples: &Samples) -> Result<SizeSummary> {
         let mut errors = SizeErrors::default();
-        for (raw, target) in self.said(estimator, samples)? {
-            errors.add(&estimator.corrected(&raw), target.log_size, target.extent_m);
+        let said = self.said(estimator, samples)?;
+        let mut said = said.into_iter();
+        for image in images(&samples.samples) {
+            let (raw, targets): (Vec<RawWitness>, Vec<Target>) =
+                said.by_ref().take(image.len()).unzip();
+            let camera = self.rig.camera(image[0].side);
+            for (witness, target) in estimator.corrected(&raw, camera).iter().zip(targets) {
+                errors.add(witness, target.log_size, target.extent_m);
+            }
         }
         Ok(errors.summary())
     }
+}
+
+/// The samples of each image: they follow one another.
+fn images(samples: &[Sample]) -> impl Iterator<Item = &[Sample]> {
+    samples.chunk_by(|a, b| a.frame.row.stamp == b.frame.row.stamp && a.side == b.side)
+}
+
+/// Within which distances vehicles and images are known, by those of vehicles that are usual.
+fn limits_of(distances: &[f64], samples: &[Sample]) -> (GuardLimits, FrameLimits) {
+    let all = |share: f64| quantile_of(distances.iter().copied(), share);
+    let (usual, near) = (all(0.5), all(PASSED));
+    let mut rest = distances;
+    let means = images(samples).map(|image| {
+        let (own, others) = rest.split_at(image.len().min(rest.len()));
+        rest = others;
+        FrameLimits::mean(usual, own)
+    });
+    let near_frame = quantile_of(means, PASSED);
+    let vehicle = GuardLimits {
+        near,
+        far: FAR * near,
+    };
+    // As far beyond the unusual ones as those are beyond the usual ones.
+    let frame = FrameLimits {
+        usual,
+        limits: GuardLimits {
+            near: near_frame,
+            far: 2.0 * near_frame - usual,
+        },
+    };
+    (vehicle, frame)
 }
