@@ -15,6 +15,9 @@ const CONSTANT_STD_PX: f64 = 3.0;
 /// Deviations beyond this many standard deviations count less (Huber).
 const FAR: f64 = 1.5;
 
+/// Standard deviation of a normal distribution over its median absolute deviation.
+const MEDIAN_TO_STD: f64 = 1.4826;
+
 /// Rounds of reweighting.
 const ROUNDS: usize = 20;
 
@@ -62,7 +65,6 @@ pub fn offset_from_readings(
         let residuals = residuals(readings, &values, rig);
         let mut matrix = information;
         let mut right = [0.0; N];
-        let (mut squares, mut weights) = (0.0, 0.0);
         for (reading, residual) in readings.iter().zip(&residuals) {
             let off = residual.abs() / (reading.std_px * inflation);
             let weight = FAR / off.max(FAR);
@@ -74,8 +76,6 @@ pub fn offset_from_readings(
             for (right, slope) in right.iter_mut().zip(&slopes) {
                 *right += scaled * slope * target;
             }
-            squares += weight * (residual / reading.std_px).powi(2);
-            weights += weight;
         }
         let cholesky = Cholesky::new(&matrix).ok_or_else(|| {
             Error::value(
@@ -87,10 +87,16 @@ pub fn offset_from_readings(
         let step = cholesky.solve(&right);
         values = std::array::from_fn(|i| before[i] + step[i]);
         covariance = cholesky.inverse();
-        // Distances that scatter more than they should are known less well than they say.
-        let free = weights - 1.0;
-        inflation = if free >= 1.0 {
-            (squares / free).sqrt().max(1.0)
+        // Distances that scatter more than they should are known less well than they say: most of them,
+        // not the few that are of something else.
+        let mut off: Vec<f64> = readings
+            .iter()
+            .zip(&residuals)
+            .map(|(reading, residual)| (residual / reading.std_px).abs())
+            .collect();
+        off.sort_by(f64::total_cmp);
+        inflation = if off.len() > 1 {
+            (MEDIAN_TO_STD * off[off.len() / 2]).max(1.0)
         } else {
             1.0
         };

@@ -9,11 +9,11 @@ use super::matching::{Matchable, place_in_right};
 use crate::geometry::{PixelBox, StereoRig};
 
 /// Disparities are looked for up to this factor below and above the expected one, and
-/// [`SLACK_PX`] more.
-const FACTOR: f64 = 1.25;
+/// [`SLACK_PX`] more: what is farther off is something else than the place.
+const FACTOR: f64 = 1.1;
 
-/// Pixels that even a far place's disparity may be off.
-const SLACK_PX: f64 = 6.0;
+/// Pixels that even a far place's disparity may be off: what a calibration leaves.
+const SLACK_PX: f64 = 3.0;
 
 /// Standard deviation of a measured disparity, pixels.
 const MATCH_STD_PX: f64 = 0.15;
@@ -30,8 +30,9 @@ const LEAST_POINTS: usize = 4;
 /// Width and length of a car, metres; vans differ by less than the visible extent is uncertain.
 const BODY_M: [f64; 2] = [1.7, 4.2];
 
-/// What matching meets lies before the centre by this part of the extent: bodies are round.
-const SURFACE: f64 = 0.85;
+/// What matching meets lies before the centre by this part of the extent: bodies are round, and the
+/// ranger found it so.
+const SURFACE: f64 = 0.65;
 
 /// Standard deviation of the width of a box, relative.
 const WIDTH_STD: f64 = 0.12;

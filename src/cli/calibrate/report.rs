@@ -3,7 +3,9 @@
 use std::fmt::Write as _;
 
 use serde_json::{Value, json};
-use twinsight::calibrate::{Estimate, KnownOffset, MOST_ROWS_PX, RectificationFit, Refined};
+use twinsight::calibrate::{
+    Estimate, KnownOffset, MOST_ROWS_PX, Offset, RectificationFit, Refined,
+};
 use twinsight::geometry::{DisparityCorrection, DisparityTerms};
 use twinsight::{Error, Result};
 
@@ -34,6 +36,13 @@ pub enum Constant {
     Unknown,
     /// What known distances say.
     Known(KnownOffset),
+    /// What so many vehicles, taken for rulers, agree on.
+    Rulers {
+        /// The constant.
+        offset: Offset,
+        /// Vehicles asked.
+        vehicles: usize,
+    },
 }
 
 /// The comment at the beginning of a calibration file.
@@ -44,6 +53,9 @@ pub fn header(findings: &Findings) -> String {
         Constant::Known(offset) => {
             let count = offset.residuals_px.len();
             format!("the constant from {count} known distances")
+        }
+        Constant::Rulers { vehicles, .. } => {
+            format!("the constant from {vehicles} vehicles taken for rulers")
         }
     };
     format!(
@@ -157,11 +169,11 @@ fn disparities(text: &mut String, findings: &Findings) {
         "\nDisparities, measured less true{}, px (± {:.2})",
         match constant {
             Constant::Unknown => ", against those at the middle",
-            Constant::Known(_) => "",
+            Constant::Known(_) | Constant::Rulers { .. } => "",
         },
         match constant {
             Constant::Unknown => terms.shape_std_px,
-            Constant::Known(_) => correction.std_px(),
+            Constant::Known(_) | Constant::Rulers { .. } => correction.std_px(),
         }
     )
     .ok();
@@ -193,6 +205,19 @@ fn disparities(text: &mut String, findings: &Findings) {
             .ok();
         }
         Constant::Known(offset) => known(text, findings, offset),
+        Constant::Rulers { offset, vehicles } => {
+            writeln!(
+                text,
+                "  {vehicles} vehicles as rulers: {:+.2} ± {:.2} px at the middle ({:.2} of it by chance); \
+                 uncorrected, that is\n  {}.\n  It trusts the mean size of vehicles: known distances \
+                 (--distances) are better.",
+                offset.mean_px,
+                offset.std_px,
+                offset.scatter_px,
+                meaning(findings, offset.mean_px)
+            )
+            .ok();
+        }
     }
 }
 
@@ -261,6 +286,11 @@ pub fn json(findings: &Findings) -> Result<String> {
     let value = |of: std::result::Result<Value, serde_json::Error>| of.map_err(broken);
     let constant = match constant {
         Constant::Unknown => json!({ "known_from": null }),
+        Constant::Rulers { offset, vehicles } => json!({
+            "known_from": "vehicles",
+            "vehicles": vehicles,
+            "offset": value(serde_json::to_value(offset))?,
+        }),
         Constant::Known(offset) => json!({
             "known_from": "distances",
             "readings": value(serde_json::to_value(&refined.readings))?,

@@ -240,6 +240,35 @@ impl Ranger {
         (ranged, doubt)
     }
 
+    /// Vehicles as rulers of a rig: for each one with texture the logarithm of how well its size and its
+    /// pixels fit together if all disparities are larger than the rig says by each of `offsets_px`,
+    /// pixels. See [`constant_from_evidence`](crate::calibrate::constant_from_evidence).
+    pub fn offset_evidence(
+        &self,
+        images: [&RgbImage; 2],
+        targets: &[Target],
+        rig: &TrustedRig,
+        offsets_px: &[f64],
+    ) -> Vec<Vec<f64>> {
+        let witnessed: Vec<Witnessed> = targets
+            .par_iter()
+            .map(|target| {
+                let nearer = nearer(target, targets);
+                let stereo = stereo_evidence(images, &target.filled(), &nearer, &rig.rig);
+                self.witnessed(target, stereo, rig, false)
+            })
+            .collect();
+        let pitches = Self::pitches(&witnessed, &rig.rig);
+        witnessed
+            .par_iter()
+            .filter_map(|witnessed| {
+                let stances = witnessed.stances(&pitches);
+                let evidence = witnessed.evidence(&stances, &rig.rig, offsets_px)?;
+                Some(evidence.into_iter().map(log_fit).collect())
+            })
+            .collect()
+    }
+
     /// The posterior of one vehicle that has the images for itself, see [`Ranger::posteriors`].
     ///
     /// # Panics
@@ -320,9 +349,9 @@ impl Ranger {
     fn fit(witnessed: &Witnessed, pitch: f64, rig: &StereoRig) -> f64 {
         let evidence = witnessed.seen.as_ref().and_then(|seen| {
             let stances = Stance::all(&witnessed.bodies, pitch, seen);
-            witnessed.evidence(&stances, rig, [0.0])
+            witnessed.evidence(&stances, rig, &[0.0])
         });
-        evidence.map_or(0.0, |[sum]| log_fit(sum))
+        evidence.map_or(0.0, |sums| log_fit(sums[0]))
     }
 
     /// The posterior of a vehicle, given its stereo evidence and the camera's pitches.
@@ -420,3 +449,6 @@ fn nearer(target: &Target, targets: &[Target]) -> Vec<PixelBox> {
         .filter(|other| other.y_max > least && own.intersection(other).is_valid())
         .collect()
 }
+
+#[cfg(test)]
+mod tests;

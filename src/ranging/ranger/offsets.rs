@@ -19,7 +19,7 @@ pub(super) fn log_fit(evidence: f64) -> f64 {
 /// rulers for each other.
 pub(super) struct Offsets {
     /// Log-evidence of each vehicle for each offset.
-    evidence: Vec<[f64; TRIED]>,
+    evidence: Vec<Vec<f64>>,
     std_px: f64,
 }
 
@@ -41,14 +41,16 @@ impl Offsets {
                 std_px,
             };
         }
-        let offsets_px = std::array::from_fn(|i| offset_px(i, std_px));
+        let offsets_px: Vec<f64> = (0..TRIED).map(|i| offset_px(i, std_px)).collect();
         let evidence = witnessed
             .par_iter()
             .map(|witnessed| {
                 let stances = witnessed.stances(pitches);
-                witnessed
-                    .evidence::<TRIED>(&stances, &rig.rig, offsets_px)
-                    .map_or([0.0; TRIED], |sums| sums.map(log_fit))
+                let evidence = witnessed.evidence(&stances, &rig.rig, &offsets_px);
+                evidence.map_or_else(
+                    || vec![0.0; TRIED],
+                    |sums| sums.into_iter().map(log_fit).collect(),
+                )
             })
             .collect();
         Self { evidence, std_px }

@@ -78,16 +78,16 @@ impl Witnessed<'_> {
     /// The evidence of size and pixels together, where disparities are larger by each of some offsets,
     /// pixels: the mean over the depths at which a vehicle can have such a box. `sizes` are those of
     /// the box.
-    pub fn evidence<const N: usize>(
+    pub fn evidence(
         &self,
         stances: &[Stance],
         rig: &StereoRig,
-        offsets_px: [f64; N],
-    ) -> Option<[f64; N]> {
+        offsets_px: &[f64],
+    ) -> Option<Vec<f64>> {
         let (seen, stereo) = (self.seen.as_ref()?, self.stereo.as_ref()?);
         let [nearest, farthest] = RULER_HEIGHTS_M.map(|height_m| height_m / seen.size[1]);
         let step = libm::exp(libm::log(farthest / nearest) / RULER_CELLS as f64);
-        let mut sums = [0.0; N];
+        let mut sums = vec![0.0; offsets_px.len()];
         for cell in 0..RULER_CELLS {
             let near = nearest * step.powi(cell as i32);
             let far = near * step;
@@ -98,7 +98,8 @@ impl Witnessed<'_> {
                 }
             });
         }
-        Some(sums.map(|sum| sum / RULER_CELLS as f64))
+        sums.iter_mut().for_each(|sum| *sum /= RULER_CELLS as f64);
+        Some(sums)
     }
 }
 
