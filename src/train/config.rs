@@ -1,6 +1,7 @@
 //! All settings of a training run, in one typed place: a preset, a TOML file, flags, in that
 //! order.
 
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -231,6 +232,37 @@ pub struct SizeTraining {
     pub patience: u32,
 }
 
+impl SizeTraining {
+    /// Every value, and between which it can be used.
+    fn ranges(&self) -> [(&'static str, f64, RangeInclusive<f64>); 14] {
+        let share = 0.0..=1.0;
+        [
+            ("size.epochs", f64::from(self.epochs), 0.0..=1e6),
+            ("size.batch", self.batch as f64, 2.0..=4096.0),
+            ("size.learning_rate", self.learning_rate, 1e-9..=1.0),
+            (
+                "size.final_learning_rate",
+                self.final_learning_rate,
+                share.clone(),
+            ),
+            ("size.warmup_epochs", self.warmup_epochs, 0.0..=1e6),
+            ("size.weight_decay", self.weight_decay, share.clone()),
+            ("size.clip_norm", self.clip_norm, 1e-6..=1e9),
+            ("size.box_jitter", self.box_jitter, 0.0..=0.2),
+            ("size.photometric", self.photometric, 0.0..=0.9),
+            ("size.occlusion", self.occlusion, share.clone()),
+            ("size.flip", self.flip, share.clone()),
+            ("size.ema_decay", self.ema_decay, share),
+            ("size.ema_ramp", self.ema_ramp, 1.0..=1e9),
+            (
+                "size.validate_every",
+                f64::from(self.validate_every),
+                1.0..=1e6,
+            ),
+        ]
+    }
+}
+
 impl Default for SizeTraining {
     fn default() -> Self {
         Self {
@@ -326,7 +358,7 @@ impl TrainConfig {
     /// # Errors
     /// Names the first value that cannot be used.
     pub fn validate(&self) -> Result<()> {
-        let (detector, distance, size) = (&self.detector, &self.distance, &self.size);
+        let (detector, distance) = (&self.detector, &self.distance);
         let share = 0.0..=1.0;
         let checks = [
             ("cache_mib", self.cache_mib as f64, 0.0..=1e6),
@@ -398,36 +430,14 @@ impl TrainConfig {
             ),
             ("distance.box_jitter", distance.box_jitter, 0.0..=0.5),
             ("distance.photometric", distance.photometric, 0.0..=0.9),
-            ("distance.flip", distance.flip, share.clone()),
-            ("size.epochs", f64::from(size.epochs), 0.0..=1e6),
-            ("size.batch", size.batch as f64, 2.0..=4096.0),
-            ("size.learning_rate", size.learning_rate, 1e-9..=1.0),
-            (
-                "size.final_learning_rate",
-                size.final_learning_rate,
-                share.clone(),
-            ),
-            ("size.warmup_epochs", size.warmup_epochs, 0.0..=1e6),
-            ("size.weight_decay", size.weight_decay, share.clone()),
-            ("size.clip_norm", size.clip_norm, 1e-6..=1e9),
-            ("size.box_jitter", size.box_jitter, 0.0..=0.2),
-            ("size.photometric", size.photometric, 0.0..=0.9),
-            ("size.occlusion", size.occlusion, share.clone()),
-            ("size.flip", size.flip, share.clone()),
-            ("size.ema_decay", size.ema_decay, share),
-            ("size.ema_ramp", size.ema_ramp, 1.0..=1e9),
-            (
-                "size.validate_every",
-                f64::from(size.validate_every),
-                1.0..=1e6,
-            ),
+            ("distance.flip", distance.flip, share),
             (
                 "distance.validate_every",
                 f64::from(distance.validate_every),
                 1.0..=1e6,
             ),
         ];
-        for (name, value, range) in checks {
+        for (name, value, range) in checks.into_iter().chain(self.size.ranges()) {
             if !range.contains(&value) {
                 return Err(Error::value(
                     format!("{name} = {value}"),

@@ -29,7 +29,7 @@ use crate::ranging::size::{
     Moments, SizeConfig, SizeEstimator, SizeHeader, SizeInputs, SizeNetwork, crop_area,
 };
 use findings::SizeErrors;
-use samples::Samples;
+use samples::SampleSet;
 use view::{LoadedViews, Target};
 
 /// Validation crops in TensorBoard, at most, and their side in pixels.
@@ -57,8 +57,8 @@ pub struct SizeRecipe {
     kind: BoxKind,
     device: Device,
     rig: StereoRig,
-    train: Samples,
-    val: Samples,
+    train: SampleSet,
+    val: SampleSet,
     header: SizeHeader,
     /// Moments of the pose's numbers; none where the dataset does not tell poses.
     pose: Option<[Moments; SizeNetwork::POSE]>,
@@ -73,8 +73,8 @@ impl SizeRecipe {
     ) -> Result<Self> {
         let budget = config.cache_mib << 20;
         let kind = config.box_kind;
-        let train = Samples::open(dataset, Split::Train, kind, budget / 5 * 4, progress)?;
-        let val = Samples::open(dataset, Split::Val, kind, budget / 5, progress)?;
+        let train = SampleSet::open(dataset, Split::Train, kind, budget / 5 * 4, progress)?;
+        let val = SampleSet::open(dataset, Split::Val, kind, budget / 5, progress)?;
         let sizes: Vec<f64> = train
             .samples
             .iter()

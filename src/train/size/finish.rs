@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::findings::{SizeErrors, SizeSummary};
-use super::samples::{Sample, Samples};
+use super::samples::{Sample, SampleSet};
 use super::view::{LoadedViews, Target};
 use super::{SizeRecipe, Split};
 use crate::dataset::StereoDataset;
@@ -94,7 +94,7 @@ impl SizeRecipe {
         };
         SizeEstimator::save(&network, &header, guard.as_ref(), &folder.calibrated())?;
         let ready = SizeEstimator::load(&folder.calibrated(), &device)?;
-        let test = Samples::open(dataset, Split::Test, self.kind, 0, progress)?;
+        let test = SampleSet::open(dataset, Split::Test, self.kind, 0, progress)?;
         let coverage = Coverage {
             calibration,
             val: self.summary(&ready, &self.val)?,
@@ -117,7 +117,7 @@ impl SizeRecipe {
     fn said(
         &self,
         estimator: &SizeEstimator,
-        samples: &Samples,
+        samples: &SampleSet,
     ) -> Result<Vec<(RawWitness, Target)>> {
         let items: Vec<usize> = (0..samples.samples.len()).collect();
         let mut said = Vec::with_capacity(items.len());
@@ -128,7 +128,7 @@ impl SizeRecipe {
         Ok(said)
     }
 
-    fn summary(&self, estimator: &SizeEstimator, samples: &Samples) -> Result<SizeSummary> {
+    fn summary(&self, estimator: &SizeEstimator, samples: &SampleSet) -> Result<SizeSummary> {
         let mut errors = SizeErrors::default();
         let said = self.said(estimator, samples)?;
         let mut said = said.into_iter();

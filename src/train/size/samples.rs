@@ -52,14 +52,14 @@ impl Decoded for Patch {
 }
 
 /// The vehicles of one split, each in both images, and the pixels around them.
-pub struct Samples {
+pub struct SampleSet {
     /// The samples.
     pub samples: Vec<Sample>,
     patches: DecodedCache<usize, Patch>,
     rig: StereoRig,
 }
 
-impl Samples {
+impl SampleSet {
     /// Opens the vehicles of a split and keeps the pixels around them, up to so many bytes.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use rand::RngExt as _;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-use super::samples::{Patch, Sample, Samples};
+use super::samples::{Patch, Sample, SampleSet};
 use super::{SizeInputs, SizeRecipe};
 use crate::dataset::BoxKind;
 use crate::error::Result;
@@ -70,7 +70,7 @@ impl SizeRecipe {
     /// Loads crops; in an epoch they are changed at random.
     pub(super) fn views(
         &self,
-        samples: &Samples,
+        samples: &SampleSet,
         items: &[usize],
         epoch: Option<u32>,
     ) -> Result<LoadedViews> {
@@ -96,7 +96,7 @@ impl SizeRecipe {
     /// One crop, the numbers beside it and what is to be said of it.
     fn see(
         &self,
-        samples: &Samples,
+        samples: &SampleSet,
         item: usize,
         random: Option<Pcg64>,
         pixels: &mut [f32],
