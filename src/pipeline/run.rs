@@ -48,7 +48,7 @@ pub(super) fn weights(run: &Path) -> Result<[PathBuf; 2]> {
 
 /// The weights of a run's size network, where it has one.
 pub(crate) fn size_weights(run: &Path) -> Option<PathBuf> {
-    Some(StageFolder::new(run, "size").best()).filter(|path| path.exists())
+    Some(StageFolder::new(run, "size").calibrated()).filter(|path| path.exists())
 }
 
 /// The runs that there are, or how to make one.

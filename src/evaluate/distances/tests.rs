@@ -68,7 +68,7 @@ fn false_vehicle(estimated_m: f64) -> FalseVehicle {
 fn every_grouping_counts_every_vehicle_once_and_every_false_one_that_it_can() {
     let vehicles = vehicles();
     let made_up = [false_vehicle(12.0), false_vehicle(95.0)];
-    let rows = rows(&vehicles, &made_up, &drawing(&vehicles));
+    let rows = rows(&vehicles, &made_up, &drawing(&vehicles), Method::Network);
     for grouping in [
         Grouping::All,
         Grouping::Distance,
@@ -122,16 +122,16 @@ fn one_vehicle_has_a_bin_of_metres_and_none_at_all_have_no_bins() {
     };
     let drawing = drawing(&vehicles);
     assert_eq!(
-        bins(rows(&vehicles, &made_up, &drawing)),
+        bins(rows(&vehicles, &made_up, &drawing, Method::Network)),
         ["12-14 m", "94-96 m"]
     );
-    assert!(bins(rows(&[], &made_up, &drawing)).is_empty());
+    assert!(bins(rows(&[], &made_up, &drawing, Method::Network)).is_empty());
 }
 
 #[test]
 fn bounds_hold_the_figure_and_a_constant_relative_error_has_no_spread() {
     let vehicles = vehicles();
-    let rows = rows(&vehicles, &[], &drawing(&vehicles));
+    let rows = rows(&vehicles, &[], &drawing(&vehicles), Method::Network);
     let all = &rows[0];
     assert!((all.mre_percent.unwrap() - 10.0).abs() < 1e-9);
     assert!((all.mre_high_percent.unwrap() - all.mre_low_percent.unwrap()).abs() < 1e-9);
@@ -142,7 +142,7 @@ fn bounds_hold_the_figure_and_a_constant_relative_error_has_no_spread() {
 #[test]
 fn a_network_that_is_better_everywhere_is_better_beyond_chance() {
     let vehicles = vehicles();
-    let rows = differences(&vehicles, &drawing(&vehicles));
+    let rows = differences(&vehicles, &drawing(&vehicles), Method::Network);
     assert_eq!(
         rows.len(),
         1,

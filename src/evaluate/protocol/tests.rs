@@ -65,7 +65,7 @@ impl Capture {
             x_max: 9.0,
             y_max: 9.0,
         };
-        protocol(&frames, &self.vehicles, &[made_up])
+        protocol(&frames, &self.vehicles, &[made_up], Method::Network)
     }
 }
 

@@ -14,6 +14,12 @@ const NORMAL_NODES: [(f64, f64); 5] = [
     (2.856_970_013_872_806, 0.011_257_411_327_720_69),
 ];
 
+/// A learnt size is far off this often: its errors have longer tails than a normal distribution.
+const TAIL_PART: f64 = 0.15;
+
+/// And then has this many times its standard deviation.
+const TAIL_STD: f64 = 3.0;
+
 /// A width that fits no heading fits all of them.
 const LEAST_WIDTH_FIT: f64 = 1e-9;
 
@@ -68,7 +74,9 @@ impl Witnessed<'_> {
         };
         let side = (seen.size[0] * seen.size[1]).sqrt();
         let off = (libm::log(z_m * side) - witness.log_size_mean) / witness.log_size_std;
-        let likelihood = with_unexplained(libm::exp(-0.5 * off * off) / witness.log_size_std);
+        let bell = |std: f64| libm::exp(-0.5 * (off / std).powi(2)) / std;
+        let likelihood = (1.0 - TAIL_PART) * bell(1.0) + TAIL_PART * bell(TAIL_STD);
+        let likelihood = with_unexplained(likelihood / witness.log_size_std);
         for (node, weight) in NORMAL_NODES {
             let extent_m = witness.extent_mean_m + node * witness.extent_std_m;
             add(weight * likelihood, extent_m.max(0.0));
