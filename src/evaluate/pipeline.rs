@@ -7,15 +7,16 @@ use serde::{Deserialize, Serialize};
 use super::baselines::{Baselines, fit_for_run};
 use super::distances::{self, Drawing};
 use super::figures::{self, DetectionFigures, PipelineFigures, TrueBoxFigures};
-use super::judge::Judge;
+use super::judge::{Judge, Judged};
 use super::subject::{Networks, Subject};
 use super::tables::{self, Tables};
 use super::vehicles::{Method, VehicleRow};
 use super::{detections, examples, latency, protocol, reliability};
-use crate::dataset::{BoxKind, Split, StereoDataset, StereoLabel};
+use crate::dataset::{BoxKind, Frame, Split, StereoDataset, StereoLabel};
 use crate::device::DeviceName;
 use crate::error::{Error, Result};
 use crate::files;
+use crate::metrics::DetectionSummary;
 use crate::pairing::PairingMode;
 use crate::pipeline::{PredictOptions, StereoRanger, Vehicle};
 use crate::progress::Progress;
@@ -206,14 +207,7 @@ fn evaluate_into(
     let method = Method::of_ranger(ranger);
     let networks = subject.networks();
     let kind = subject.box_kind();
-    let frames = dataset.split(split);
-    if frames.is_empty() {
-        return Err(Error::dataset(
-            &dataset.folder,
-            format!("has no usable frames with split {split}"),
-            "give another --split or --data",
-        ));
-    }
+    let frames = usable(dataset, split)?;
     let folder = out.map_or_else(
         || tables::default_folder(run, &dataset.folder, split, subject.options()),
         Path::to_path_buf,
@@ -229,12 +223,8 @@ fn evaluate_into(
         None
     };
     let judged = Judge::new(&subject, dataset, baselines.as_ref(), rig).run(&frames, progress)?;
-    let classes = dataset.classes();
     let drawing = Drawing::new(&judged.frames, DRAWS);
     let summary = judged.detection.compute();
-    let coco = judged
-        .detection_pixel
-        .coco_summary(detections::COCO_DETECTIONS);
     let protocol = Some(protocol::protocol(
         &frames,
         &judged.vehicles,
@@ -252,6 +242,10 @@ fn evaluate_into(
     let shown: &[VehicleRow] = match whole {
         Some(_) => &judged.vehicles,
         None => &[],
+    };
+    let of_detector = match detection {
+        Some(_) => detection_tables(&judged, &summary, dataset.classes()),
+        None => Tables::default(),
     };
     let mut tables = Tables {
         distance: distances::rows(&judged.vehicles, &judged.false_vehicles, &drawing, method),
@@ -273,14 +267,8 @@ fn evaluate_into(
         )?,
         vehicles: judged.vehicles,
         false_vehicles: judged.false_vehicles,
-        ..Tables::default()
+        ..of_detector
     };
-    if detection.is_some() {
-        tables.detection = detections::class_rows(&summary, classes);
-        tables.detection_curves = detections::curve_rows(&summary, classes);
-        tables.coco = detections::coco_rows(&coco);
-        tables.confusion = detections::confusion_rows(&judged.confusion, classes);
-    }
     if networks != Networks::Both {
         tables.leave_out_pipeline();
     }
@@ -312,6 +300,33 @@ fn evaluate_into(
     };
     tables::write(&evaluation.folder, &evaluation)?;
     Ok(evaluation)
+}
+
+/// The frames of a split, of which there must be some.
+fn usable(dataset: &StereoDataset, split: Split) -> Result<Vec<&Frame>> {
+    let frames = dataset.split(split);
+    if frames.is_empty() {
+        return Err(Error::dataset(
+            &dataset.folder,
+            format!("has no usable frames with split {split}"),
+            "give another --split or --data",
+        ));
+    }
+    Ok(frames)
+}
+
+/// The detector's tables.
+fn detection_tables(judged: &Judged, summary: &DetectionSummary, classes: &[String]) -> Tables {
+    let coco = judged
+        .detection_pixel
+        .coco_summary(detections::COCO_DETECTIONS);
+    Tables {
+        detection: detections::class_rows(summary, classes),
+        detection_curves: detections::curve_rows(summary, classes),
+        coco: detections::coco_rows(&coco),
+        confusion: detections::confusion_rows(&judged.confusion, classes),
+        ..Tables::default()
+    }
 }
 
 /// Pairs of found and labelled vehicles, best score first: a vehicle is found when its boxes

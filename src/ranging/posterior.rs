@@ -57,8 +57,9 @@ impl Posterior {
         if !(total.is_finite() && total > 0.0) {
             return None;
         }
-        density.iter_mut().for_each(|value| *value /= total);
-        cumulative.iter_mut().for_each(|value| *value /= total);
+        for value in density.iter_mut().chain(&mut cumulative) {
+            *value /= total;
+        }
         Some(Self {
             distance_m,
             density,

@@ -321,8 +321,7 @@ impl Ranger {
             }),
             stereo: usable.map(|stereo| {
                 let stereo = match target.witness {
-                    Some(_) => stereo
-                        .sharpened(std::env::var("KS").map_or(3.0, |v| v.parse().unwrap_or(3.0))),
+                    Some(_) => stereo.sharpened(WITNESSED_PIXELS),
                     None => stereo,
                 };
                 stereo.moved(-delta_px).blurred(self.settings.match_std_px)

@@ -508,7 +508,9 @@ impl Matched {
         if !(total.is_finite() && total > 0.0) {
             return None;
         }
-        vote.iter_mut().for_each(|value| *value /= total);
+        for value in &mut vote {
+            *value /= total;
+        }
         Some((window.say * visible * best * best, vote))
     }
 }

@@ -51,7 +51,8 @@ const BROAD: SizeWitness = SizeWitness {
 };
 
 fn ranged(images: &[RgbImage; 2], target: &Target, rig: &TrustedRig) -> Ranged {
-    let (mut ranged, _) = Ranger::default().posteriors(images.each_ref(), &[target.clone()], rig);
+    let (mut ranged, _) =
+        Ranger::default().posteriors(images.each_ref(), std::slice::from_ref(target), rig);
     ranged.pop().unwrap()
 }
 

@@ -106,7 +106,9 @@ impl Witnessed<'_> {
                 }
             });
         }
-        sums.iter_mut().for_each(|sum| *sum /= RULER_CELLS as f64);
+        for sum in &mut sums {
+            *sum /= RULER_CELLS as f64;
+        }
         Some(sums)
     }
 }
