@@ -1,5 +1,8 @@
 //! A posterior over the distance of one vehicle.
 
+/// Cells of the grid of an unknown distance.
+const UNKNOWN_CELLS: u32 = 200;
+
 /// Least share of the probability that a mode must hold to be told.
 const LEAST_MODE: f64 = 0.1;
 
@@ -46,7 +49,12 @@ impl Posterior {
             let value = libm::exp(log - most);
             if value.is_nan() { 0.0 } else { value }
         };
-        let mut density: Vec<f64> = log_density.iter().map(relative).collect();
+        let density = log_density.iter().map(relative).collect();
+        Some(Self::normalised(distance_m, density))
+    }
+
+    /// A density that is above 0 somewhere, made to integrate to one.
+    fn normalised(distance_m: Vec<f64>, mut density: Vec<f64>) -> Self {
         let mut cumulative = Vec::with_capacity(density.len());
         let mut total = 0.0;
         cumulative.push(0.0);
@@ -54,17 +62,34 @@ impl Posterior {
             total += (distance[1] - distance[0]) * f64::midpoint(density[0], density[1]);
             cumulative.push(total);
         }
-        if !(total.is_finite() && total > 0.0) {
-            return None;
-        }
         for value in density.iter_mut().chain(&mut cumulative) {
             *value /= total;
         }
-        Some(Self {
+        Self {
             distance_m,
             density,
             cumulative,
-        })
+        }
+    }
+
+    /// Every logarithm of a distance between two as probable as any other: nothing is known. The nearer
+    /// one must be above 0 and below the farther one; else it is the first metre.
+    pub fn unknown(nearest_m: f64, farthest_m: f64) -> Self {
+        let is_usable = nearest_m > 0.0 && nearest_m < farthest_m && farthest_m.is_finite();
+        let [nearest_m, farthest_m] = if is_usable {
+            [nearest_m, farthest_m]
+        } else {
+            [1.0, 2.0]
+        };
+        let step = libm::log(farthest_m / nearest_m) / f64::from(UNKNOWN_CELLS);
+        let distance_m: Vec<f64> = (0..=UNKNOWN_CELLS)
+            .map(|i| nearest_m * libm::exp(step * f64::from(i)))
+            .collect();
+        let weight: Vec<f64> = distance_m
+            .iter()
+            .map(|distance_m| 1.0 / distance_m)
+            .collect();
+        Self::normalised(distance_m, weight)
     }
 
     /// The grid: distances in metres, ascending.
@@ -264,6 +289,18 @@ mod tests {
         assert_eq!(shoulder.modes().len(), 1);
         let small = posterior(|d| 0.95 * bell(d, 20.0, 0.6) + 0.05 * bell(d, 30.0, 0.6));
         assert_eq!(small.modes().len(), 1);
+    }
+
+    #[test]
+    fn nothing_known_is_even_in_the_logarithm() {
+        let unknown = Posterior::unknown(2.0, 200.0);
+        assert!(
+            (unknown.median_m() - 20.0).abs() < 0.01,
+            "{}",
+            unknown.median_m()
+        );
+        assert_eq!(unknown.quantile(0.0), 2.0);
+        assert!(Posterior::unknown(-1.0, f64::NAN).median_m().is_finite());
     }
 
     #[test]

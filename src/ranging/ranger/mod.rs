@@ -278,9 +278,6 @@ impl Ranger {
     }
 
     /// The posterior of one vehicle that has the images for itself, see [`Ranger::posteriors`].
-    ///
-    /// # Panics
-    /// Never: there is one posterior for each target.
     pub fn posterior(
         &self,
         images: [&RgbImage; 2],
@@ -288,8 +285,10 @@ impl Ranger {
         rig: &TrustedRig,
     ) -> Posterior {
         let (ranged, _) = self.posteriors(images, std::slice::from_ref(target), rig);
-        let [ranged] = <[Ranged; 1]>::try_from(ranged).unwrap_or_else(|_| unreachable!());
-        ranged.posterior
+        ranged.into_iter().next().map_or_else(
+            || Posterior::unknown(self.settings.nearest_m, self.settings.farthest_m),
+            |ranged| ranged.posterior,
+        )
     }
 
     /// What is known of a target before vehicles are compared.
@@ -378,9 +377,11 @@ impl Ranger {
         let area = &witnessed.target.box_pixel;
         let stances = witnessed.stances(pitches);
         let depths = self.depths(stereo, rig);
-        let sharpness = match witnessed.target.witness {
-            Some(_) => WITNESSED_SHARPNESS,
-            None => SHARPNESS,
+        // The spread of a size alone is right as it is.
+        let sharpness = match (stereo, witnessed.target.witness) {
+            (None, _) => 1.0,
+            (Some(_), Some(_)) => WITNESSED_SHARPNESS,
+            (Some(_), None) => SHARPNESS,
         };
         let mut joint = Vec::with_capacity(depths.len());
         let mut of_size = Vec::with_capacity(depths.len());
@@ -401,14 +402,12 @@ impl Ranger {
         }
         let ray = Ray::new(area, rig);
         let distances: Vec<f64> = depths.iter().map(|&z_m| ray.distance_m(z_m)).collect();
-        let even = || {
-            let log: Vec<f64> = depths.iter().map(|z_m| -libm::log(*z_m)).collect();
-            Posterior::new(distances.clone(), &log)
+        let of = |log: &[f64]| {
+            Posterior::new(distances.clone(), log).unwrap_or_else(|| {
+                Posterior::unknown(self.settings.nearest_m, self.settings.farthest_m)
+            })
         };
-        let of = |log: &[f64]| Posterior::new(distances.clone(), log).or_else(even);
-        let (Some(posterior), Some(size)) = (of(&joint), of(&of_size)) else {
-            unreachable!("an even density on ascending depths is one");
-        };
+        let (posterior, size) = (of(&joint), of(&of_size));
         let median = posterior.median_m();
         let i = distances.partition_point(|&distance| distance < median);
         let i = i.min(depths.len() - 1);

@@ -2,6 +2,10 @@
 
 use crate::geometry::{PixelBox, StereoRig};
 
+/// Cameras that are farther apart see no vehicle at the least depth, and on an oblique ray nearer depths
+/// could be farther from their midpoint.
+const LARGEST_HALF_BASELINE_M: f64 = 3.0;
+
 /// The ray through the middle of a box: between depths and distances from the midpoint between the
 /// cameras.
 pub(super) struct Ray {
@@ -17,7 +21,7 @@ impl Ray {
         Self {
             right: finite(right),
             down: finite(down),
-            half_baseline_m: 0.5 * rig.baseline_m,
+            half_baseline_m: (0.5 * rig.baseline_m).min(LARGEST_HALF_BASELINE_M),
         }
     }
 

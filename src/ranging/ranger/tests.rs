@@ -37,8 +37,11 @@ fn target(box_pixel: PixelBox) -> Target {
 
 /// A car seen from the side with its centre at a depth, metres.
 fn car(z_m: f64) -> Target {
-    let px = rig().focal_px() / z_m;
-    target(PixelBox::from_center([330.0, 185.0], 4.2 * px, 1.54 * px))
+    let focal_px = rig().focal_px();
+    // Its near side is half its width before its centre.
+    let height_px = 1.52 * focal_px / (z_m - 0.85);
+    let width_px = 4.2 * focal_px / z_m;
+    target(PixelBox::from_center([330.0, 185.0], width_px, height_px))
 }
 
 /// One that knows nothing of sizes, at the surface itself.
@@ -97,7 +100,6 @@ fn a_vehicle_without_texture_has_the_posterior_of_its_size() {
         "{median_m} and {}",
         ranged.size_m
     );
-    // The side of a car: its near face is 0.85 m before the centre.
     assert!((median_m - 20.0).abs() < 2.0, "{median_m}");
     assert!(relative_width(&ranged) > 0.2);
 }

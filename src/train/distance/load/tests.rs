@@ -2,6 +2,7 @@ use burn::tensor::Device;
 use image::{Rgb, RgbImage};
 
 use super::*;
+use crate::dataset::BoxKind;
 use crate::dataset::fixture::Fixture;
 use crate::progress::Silent;
 use crate::ranging::Readout;
@@ -156,6 +157,7 @@ fn run_with_detected(fixture: &Fixture, frame: u64, found: [PixelBox; 2]) -> tem
 
 fn detector_config() -> TrainConfig {
     let mut config = TrainConfig::preset("quick").unwrap();
+    config.box_kind = BoxKind::Sphere;
     config.distance.boxes = crate::train::TrainingBoxes::Detector;
     config.distance.flip = 0.0;
     config
