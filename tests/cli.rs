@@ -81,6 +81,7 @@ scenes = 1
 
 /// A training that shows everything but learns nothing, in seconds.
 const TINY_TRAINING: &str = "
+box_kind = \"sphere\"
 [detector]
 scale = \"n\"
 image_size = 64

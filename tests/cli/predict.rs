@@ -239,7 +239,8 @@ fn a_vehicle_that_one_image_shows_is_reported_as_asked() {
     save(&place, "l.png", &texture(64, 36, 1, 0));
     save(&place, "r.png", &RgbImage::from_pixel(64, 36, Rgb([9; 3])));
     for (how, is_kept) in [("drop", false), ("search", false), ("keep", true)] {
-        let json = place.line(&format!("{SEES} l.png r.png --single-sided {how}"));
+        let asked = format!("{SEES} l.png r.png --ranger paper --single-sided {how}");
+        let json = place.line(&asked);
         let json: Value = serde_json::from_str(&json.success()).unwrap();
         assert_eq!(json["vehicles"], Value::Array(vec![]));
         let alone = &json["without_distance"];
@@ -249,13 +250,24 @@ fn a_vehicle_that_one_image_shows_is_reported_as_asked() {
             assert!(alone[0]["box"]["x_min"].is_number() && alone[0]["distance_m"].is_null());
         }
     }
-    let table = place.line(&format!("{SEES} l.png r.png --single-sided keep --csv -"));
+    let asked = format!("{SEES} l.png r.png --ranger paper --single-sided keep --csv -");
+    let table = place.line(&asked);
     let table = table.success();
     assert!(table.lines().nth(1).unwrap().contains(",left,"), "{table}");
+    // The posterior has an answer for what only one image shows: its size, and a wide interval.
+    let json = place.line(&format!("{SEES} l.png r.png")).success();
+    let json: Value = serde_json::from_str(&json).unwrap();
+    let vehicles = json["vehicles"].as_array().unwrap();
+    assert!(!vehicles.is_empty(), "{json}");
+    for vehicle in vehicles {
+        let metres = |name: &str| vehicle[name].as_f64().unwrap();
+        let width_m = metres("distance_high_m") - metres("distance_low_m");
+        assert!(width_m > 0.2 * metres("distance_m"), "{vehicle}");
+    }
 }
 
 #[test]
-fn the_measured_disparity_and_what_it_means_are_told() {
+fn the_distance_comes_with_its_interval_its_witnesses_and_its_disparity() {
     let place = with_pairs(2);
     let found = lines(&place.line(&format!("{SEES} data")).success());
     let mut count = 0;
@@ -272,18 +284,27 @@ fn the_measured_disparity_and_what_it_means_are_told() {
         if vehicle["right"]["x_min"].as_f64().unwrap() > 0.0 {
             assert!((middle("left") - middle("right") - disparity_px).abs() < 1e-6);
         }
-        let surface_m = &vehicle["surface_distance_m"];
-        assert_eq!(
-            surface_m.as_f64().is_some_and(|m| m > 0.0),
-            disparity_px > 0.0
-        );
+        assert!(disparity_px > 0.0, "{vehicle}");
+        let metres = |name: &str| vehicle[name].as_f64().unwrap();
+        let (low_m, high_m) = (metres("distance_low_m"), metres("distance_high_m"));
+        assert!((low_m..high_m).contains(&metres("distance_m")), "{vehicle}");
+        assert!(metres("distance_std_m") > 0.0 && metres("size_m") > 0.0);
+        assert!(vehicle["network_m"].is_number());
         count += 1;
     }
     assert!(count > 0);
     let table = place.line(&format!("{SEES} data --csv -")).success();
     let mut rows = csv::Reader::from_reader(table.as_bytes());
     let columns = rows.headers().unwrap().clone();
-    assert!(columns.iter().any(|name| name == "surface_distance_m"));
+    for name in [
+        "distance_std_m",
+        "distance_low_m",
+        "distance_high_m",
+        "size_m",
+        "stereo_m",
+    ] {
+        assert!(columns.iter().any(|column| column == name), "{name}");
+    }
     assert_eq!(rows.records().count(), count);
     let detected = format!("{SEES} data --pairing detect --single-sided drop");
     for line in lines(&place.line(&detected).success()) {

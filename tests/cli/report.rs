@@ -45,7 +45,7 @@ fn every_table_is_a_csv_and_a_json_file_and_the_baselines_stand_beside_the_netwo
         "size",
         "triangulation",
         "matching",
-        "fusion",
+        "fused",
         "by distance",
         "by sun",
     ] {
@@ -56,6 +56,8 @@ fn every_table_is_a_csv_and_a_json_file_and_the_baselines_stand_beside_the_netwo
         "vehicles",
         "distance",
         "differences",
+        "reliability",
+        "spread",
         "detection",
         "detection_curves",
         "coco",

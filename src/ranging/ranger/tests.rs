@@ -131,7 +131,8 @@ fn size_and_disparity_that_agree_are_surer_than_either() {
     let rig = TrustedRig::exact(rig());
     let ranged = ranged(&images, &car(20.0), &rig);
     let median_m = ranged.posterior.median_m();
-    assert!((median_m - 20.0).abs() < 0.6, "{median_m}");
+    // A car that is turned by up to 30 degrees is as wide, and its centre up to 0.6 m farther.
+    assert!((median_m - 20.0).abs() < 0.8, "{median_m}");
     assert!(
         relative_width(&ranged) < 0.12,
         "{}",
