@@ -155,22 +155,6 @@ impl StereoEvidence {
         )
     }
 
-    /// The same with the evidence raised to a power, for what stands out of what any disparity has.
-    pub fn sharpened(&self, power: f64) -> Self {
-        let most = self.likelihood.iter().copied().fold(0.0, f64::max);
-        let likelihood = self.likelihood.iter().map(|value| {
-            let over = (value - self.floor).max(0.0) / (most - self.floor);
-            self.floor + (most - self.floor) * libm::pow(over, power)
-        });
-        Self::new(
-            self.first_px,
-            self.step_px,
-            likelihood.collect(),
-            self.floor,
-            self.support,
-        )
-    }
-
     /// The same with all disparities larger by this, pixels.
     pub fn moved(self, by_px: f64) -> Self {
         Self {

@@ -14,6 +14,11 @@ const NORMAL_NODES: [(f64, f64); 5] = [
     (2.856_970_013_872_806, 0.011_257_411_327_720_69),
 ];
 
+/// A learnt size counts as if its standard deviation were so many times as large: the sharpening of the
+/// evidence as a whole would trust it too much. On the validation split of rendered traffic distances err
+/// by 1.33 % with 1, 1.27 with 1.25, 1.21 with 1.5.
+const WITNESS_STD: f64 = 1.5;
+
 /// A learnt size is far off this often: its errors have longer tails than a normal distribution.
 const TAIL_PART: f64 = 0.15;
 
@@ -75,7 +80,7 @@ impl Witnessed<'_> {
         let side = (seen.size[0] * seen.size[1]).sqrt();
         let off = (libm::log(z_m * side) - witness.log_size_mean) / witness.log_size_std;
         let bell = |std: f64| libm::exp(-0.5 * (off / std).powi(2)) / std;
-        let likelihood = (1.0 - TAIL_PART) * bell(1.0) + TAIL_PART * bell(TAIL_STD);
+        let likelihood = (1.0 - TAIL_PART) * bell(WITNESS_STD) + TAIL_PART * bell(TAIL_STD);
         let likelihood = with_unexplained(likelihood / witness.log_size_std);
         for (node, weight) in NORMAL_NODES {
             let extent_m = witness.extent_mean_m + node * witness.extent_std_m;
