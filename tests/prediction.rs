@@ -13,6 +13,7 @@ use twinsight::pairing::PairingMode;
 use twinsight::pipeline::{DetectedIn, SingleSided, VehicleFilter};
 use twinsight::predict::{FrameRecord, Outcome, Sink, predict};
 use twinsight::progress::{Progress, Silent};
+use twinsight::ranging::RangerKind;
 use twinsight::sources::StereoFrame;
 use twinsight::{DeviceName, Error, PredictOptions, Result, StereoRanger, Vehicle};
 
@@ -166,6 +167,7 @@ fn a_vehicle_that_the_right_image_does_not_show_is_kept_only_if_asked_for() {
     for single_sided in SingleSided::ALL {
         let options = PredictOptions {
             single_sided,
+            ranger: RangerKind::Paper,
             ..all(PairingMode::Search)
         };
         let ranger = ranger.clone().with_options(options);
@@ -179,6 +181,14 @@ fn a_vehicle_that_the_right_image_does_not_show_is_kept_only_if_asked_for() {
                 .iter()
                 .all(|v| v.detected_in == DetectedIn::Left)
         );
+    }
+    // The posterior has an answer for it: what its size says.
+    let ranger = ranger.with_options(all(PairingMode::Search));
+    let (found, _) = ranger.find(&[[&left, &right]]).unwrap();
+    assert!(!found[0].vehicles.is_empty());
+    for vehicle in &found[0].vehicles {
+        assert_eq!(vehicle.stereo_m, None);
+        assert!(vehicle.distance_std_m.unwrap() > 0.05 * vehicle.distance_m);
     }
 }
 
