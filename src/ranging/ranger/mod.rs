@@ -190,7 +190,8 @@ impl VehicleDoubt {
     }
 }
 
-/// Ranges vehicles without any training, see the [module](self).
+/// Ranges vehicles without any training: box size and stereo pixels are two witnesses of a posterior
+/// over distance, and a learnt size is one more where there is one.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Ranger {
     settings: RangerSettings,

@@ -94,7 +94,7 @@ impl GuardLimits {
 pub struct FrameLimits {
     /// Distance of a usual vehicle.
     pub usual: f64,
-    /// Limits of the mean over an image, of which [`USUAL_VEHICLES`] usual ones are a part.
+    /// Limits of the mean over an image, of which `USUAL_VEHICLES` usual ones are a part.
     pub limits: GuardLimits,
 }
 

@@ -48,7 +48,7 @@ pub struct SizeView {
     pub numbers: [f32; VIEW_NUMBERS],
     /// Angular width and height of the box at depth 1. The network does not see them; the guard does.
     pub angles: [f64; 2],
-    /// What the guard is told of the picture; see [`picture_numbers`].
+    /// What the guard is told of the picture; see `picture_numbers`.
     pub picture: [f64; PICTURE_NUMBERS],
 }
 
