@@ -36,7 +36,10 @@ scenes = 1
 
 /// No augmentation, no averaging: what is shown is what is to be learnt.
 const PLAIN: &str = "
+box_kind = \"sphere\"
 cache_mib = 64
+[size]
+epochs = 0
 [detector]
 scale = \"n\"
 image_size = 192

@@ -4,7 +4,7 @@ use std::io::{BufRead as _, BufReader, Lines};
 use std::net::UdpSocket;
 use std::process::{Child, ChildStdout, Stdio};
 
-use super::{Workplace, with_dataset};
+use super::{TINY_TRAINING, Workplace, with_dataset};
 
 const TOKEN: (&str, &str) = ("TWINSIGHT_TOKEN", "a-token-of-the-tests");
 
@@ -62,6 +62,9 @@ fn losses(place: &Workplace, run: &str) -> Vec<f64> {
 #[test]
 fn training_on_a_worker_is_training_here() {
     let place = with_dataset();
+    // Its first weights are drawn on the device, and cannot be given.
+    let settings = format!("{TINY_TRAINING}[size]\nepochs = 0\n");
+    place.write("training.toml", settings);
     let train = "train --config training.toml --data data";
     place.line(&format!("{train} --run start")).success();
     // First weights are drawn on the device, so both go on from the same ones.
