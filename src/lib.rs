@@ -1,7 +1,8 @@
 //! How many metres away is that vehicle?
 //!
-//! Twinsight finds vehicles in both images of a stereo pair with a YOLO11 detector and turns each
-//! one's two crops and box size into a distance with a small twin-branch network. Networks,
+//! Twinsight finds vehicles in a stereo pair with a YOLO11 detector and makes a posterior over each one's
+//! distance from its box, its pixels in both images and, where they were trained, small networks; the
+//! paper's twin-branch network can be asked alone. Networks,
 //! training, evaluation and inference are written in [Burn](burn); a built-in renderer makes
 //! stereo data to train on.
 //!
@@ -18,8 +19,8 @@
 //!   |  or most alike pixels in the right image        [`pairing::search`]
 //!   v
 //! pairs of boxes
-//!   |  right crop above left crop, box size           [`dataset::composite()`]
-//!   |  twin-branch network                            [`ranging`]
+//!   |  size, disparity, learnt size: a posterior      [`ranging::FusedRanger`]
+//!   |  or the paper's network on both crops           [`ranging::DistanceEstimator`]
 //!   v
 //! metres                                              [`pipeline::StereoRanger`]
 //! ```

@@ -177,9 +177,9 @@ pub struct StageTimes {
     /// Detector on both images, or with [`PairingMode::Search`](crate::pairing::PairingMode::Search)
     /// on the left one, with letterboxing and suppression.
     pub detect: Duration,
-    /// Pairing of left and right detections, or the search in the right image.
+    /// Pairing of left and right detections, or the search in the right image, and the posterior.
     pub pair: Duration,
-    /// Crops and distance network.
+    /// Crops and the twin-branch network.
     pub range: Duration,
 }
 

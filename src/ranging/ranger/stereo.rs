@@ -294,7 +294,7 @@ struct Matched {
     largest: usize,
     /// Disparities tried.
     places: usize,
-    /// Disparity of the principal points' fraction that was left out, pixels.
+    /// Rows of the right plane before the first one of the left plane, and after its last.
     rows: usize,
 }
 
